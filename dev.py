@@ -1,6 +1,4 @@
 #!/usr/bin/env python3
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The commands of the project, which include the set-up: python3 dev.py COMMAND [ARGUMENT ...]
 
   demo      run the main job on the example capture

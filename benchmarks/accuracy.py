@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """python3 dev.py accuracy CAPTURE: run the main job on a capture with ground truth and score the result.
 
 The capture has the FIPT authors' synthetic layout (benchmarks/truth.py). Prints one table, the paper's

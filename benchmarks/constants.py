@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The engine's tuned numbers: module constants with names in capitals, found in the source of `core/`.
 
 `use` makes modules that are imported afterwards have other values, wherever a constant is used: the number is

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Render views of a finished run in Cycles, in a separate process: python cycles_views.py RUN SPP < JSON.
 
 The JSON on stdin is {"rerender": {name: most columns, or null}, "relight": null or {"views": [names],

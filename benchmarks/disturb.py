@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A disturbed copy of a room's mesh, similar to a reconstruction: smooth noise, smooth normals, one object.
 
 It replaces the paper's estimated geometry (Sec. 5.4, Table 4): `disturb_obj(source, target, sigma)`.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How well rooms are emptied: python benchmarks/emptied.py RUN [--scene FOLDER] [--out DIR].
 
 RUN is a finished run of the example room or, with --scene, of a capture in the FIPT authors' layout that has

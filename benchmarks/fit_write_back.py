@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Measure Cycles' Principled BSDF, write the table of its correction to the fitted model, and evaluate it.
 
 The evaluation sweeps materials, viewing angles and lights. Needs bpy; the model runs in a child process.

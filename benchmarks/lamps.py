@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How many lamps of a capture an estimate found, invented and lost."""
 
 from __future__ import annotations

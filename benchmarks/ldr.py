@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a capture of photographs that are not HDR out of one that is, with a camera drawn by chance.
 
     python benchmarks/ldr.py CAPTURE --output DIR --seed 1 [--format jpg|png|exr] [--exif none|rounded|exact]

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The metrics of the paper's experiments (Sec. 5.1 and 5.2) as pure functions, in two protocols.
 
 PAPER: excluded pixels are black in both images and count as correct, map values have 8 bits, and roughness is

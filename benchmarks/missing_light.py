@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A capture with ground truth whose photographs or mesh lack what lights it.
 
     python benchmarks/missing_light.py CAPTURE --output DIR --missing lamps [--views 24]

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The fitted model in comparisons with Cycles: a separate process, since Mitsuba and bpy can't share one.
 
 python model_side.py MASKING < IN.npz > OUT.npz. IN holds cosine (N,) and roughness (N,); OUT then holds the

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Give a room of examples/make_room.py random materials and lamps; no constant was tuned on such a room.
 
 python examples/make_room.py --seed 7 [--thin] --no-render --out DIR

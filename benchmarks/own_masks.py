@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A capture whose part masks are those of a network that sees one photograph at a time: `own_masks.py CAPTURE
 --output DIR --seed N`.
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Small patches of many materials, each with its own viewing angle, in one small Cycles render.
 
 Each patch fills one pixel of an orthographic camera that looks down. Patches neither light nor shadow each

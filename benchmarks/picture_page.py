@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """An HTML page with pictures of ground truth, prediction and error side by side."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Predicted maps of a finished run, sampled as in the ground truth.
 
 That is at the pixel's centre, or averaged over random positions in the pixel. Emitters are black in all maps

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Run folders that are ready for the engine's estimation: made from a capture, copied for several runs.
 
 python benchmarks/prepared.py CAPTURE RUN [OPTION ...]: the steps of the main job before the estimation, in a

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """python3 dev.py results: write the tables of docs/results.md from the measurements in docs/measurements/.
 
 A file there is one table: {"first": header of the first column, "columns": [[header, template], ...],

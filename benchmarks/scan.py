@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A capture whose mesh is replaced by a scan: `scan.py CAPTURE --voxel 0.02 --output DIR`.
 
 Range images are rendered of the capture's mesh from positions around its training cameras, disturbed as a

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Figures of a finished run for the scoreboard, in its own process: score_run.py RUN JSON [--truth DIR]."""
 
 from __future__ import annotations

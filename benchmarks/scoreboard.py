@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """python3 dev.py scoreboard [ROW ...]: whole jobs, from the input folder to the .blend, and what they give.
 
 Each row is a capture that goes through the product's own command line with its default options, but the draft

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """python3 dev.py speed CAPTURE: seconds and memory of the main job, by step and by stage of the estimation.
 
 The job runs as a user runs it, several times, each time from the beginning; the table has medians, and those

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What each mechanism brings: estimates with one mechanism off, or one number halved or doubled, on a jury.
 
     python benchmarks/trial.py WORK --room a=DIR --captures a:2cm:hdr:none,parts --off torn_parts,outlines

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The jury of benchmarks/trial.py: captures of rooms with other meshes, photographs and masks.
 
 A capture of the jury is a room (a capture with ground truth in the FIPT authors' synthetic layout), its mesh

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What benchmarks/trial.py changes: mechanisms, steps of the paper, and tuned numbers."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """One estimation of benchmarks/trial.py in a process of its own: `trial_run.py RUN [CAPTURE] [options]`.
 
 Estimates a prepared run folder, if wanted with other constants, and scores it. Nothing is baked to textures.

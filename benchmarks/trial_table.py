@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The table of benchmarks/trial.py: what each change does to the figures of a jury's captures."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reader and writer of the ground truth of a capture in the FIPT authors' layout.
 
 The folders DiffCol (kd), BaseColor, Metallic, Roughness, Emit and IndexMA (0: nothing hit) next to

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The method on one page: from a capture to textures by the engine's functions, without Blender's side.
 
     FIPT_BLENDER=BLENDER ENGINE_PYTHON examples/engine.py CAPTURE OUTPUT [SETTING=VALUE ...]

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Model the example room in Blender and render it as a capture with ground truth.
 
 python examples/make_room.py --out examples/room

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Make the extension's own small capture from the example room: fewer and smaller views, no ground truth.
 
 python examples/make_small.py            (once, after make_room.py; the result is part of the repository)

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Render the images and ground-truth maps of a capture folder that make_room.py has written.
 
     python examples/render_room.py examples/room --spp 64

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera poses of the example capture: held-back views by hand, training views by greedy coverage.
 
 Poses are camera-to-world in the files' Y-up world with camera axes X left, Y up, Z forward.

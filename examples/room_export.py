@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """From the Blender scene to the capture's files: scene.obj (Y up) and the tables beside it."""
 
 from __future__ import annotations

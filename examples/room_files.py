@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reading a capture folder of the example's layout (OBJ, tables, cameras), and writing EXR images."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The furniture of the example room. Each builder makes one piece; metres, Z up, fronts face local -Y."""
 
 from __future__ import annotations

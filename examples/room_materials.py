@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The example room's materials in the paper's parameters, as plain data and as Principled node trees.
 
 A material is base colour (constant or texture), roughness and metallic; fixtures emit and reflect nothing.

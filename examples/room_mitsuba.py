@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The example room in Mitsuba: its path integrator for images, ray queries for the ground-truth maps.
 
 Import after a Mitsuba variant was set.

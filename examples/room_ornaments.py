@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The lamp, rug, plant, radiator, clock and bin of the example room. Metres, Z up."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Shapes the example room is built of: bevelled boxes, turned profiles, tubes, cushions, sheets.
 
 A `Form` gathers pieces into one Blender object. Metres, Z up. Runs in Blender or with bpy as a module.

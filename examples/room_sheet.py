@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The contact sheet of a capture: its views, one held-back view's maps, the relit images."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The shell of the example room: floor, walls, mouldings, window, door, ceiling panel. Metres, Z up."""
 
 from __future__ import annotations

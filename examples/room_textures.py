@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Base-colour textures of the example room, made with numpy alone and seeded.
 
 Every function returns linear albedo (H, W, 3) float32, row 0 at the top; `encode` turns it into sRGB bytes.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Thin things for the example room: bars, a grille, rails, a screen, cutlery, cables and strips of light.
 
 Nearly all are a third of a pixel to three pixels wide where the capture's cameras see them. Metres, Z up.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Factorized Inverse Path Tracing for Blender: materials and lights of a room from its photographs.
 
 bpy is imported only in `register`, so that a Python without bpy can import the engine, `core`.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The command line as a file to run.
 
 `blender --background --python fipt_blender/__main__.py -- ARGS`, or with a Python that has bpy

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The settings of this machine: the engine's environment, the device, the data folder.
 
 Their values are those of the add-on's preferences, or `DEFAULTS` where the package is imported without being

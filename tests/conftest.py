@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What every test starts from: a device found as the product finds it, fixed seeds, an empty Blender file."""
 
 from __future__ import annotations

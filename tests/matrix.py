@@ -1,6 +1,4 @@
 #!/usr/bin/env python3
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Run the tests of the pure-Blender part on each supported Blender: python3 tests/matrix.py [VERSION ...]
 
 Each version gets a small environment below out/matrix/, with bpy and of the engine what baking textures needs. Where

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Known similarities between a solve and a mesh are found again, from pairs, sparse points and sights."""
 
 from __future__ import annotations

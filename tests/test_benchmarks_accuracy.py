@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The accuracy command: its files, predictions and metrics, on small arrays whose answers are known."""
 
 import dataclasses

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The table of whole jobs: differences between commits, and the files that hold it."""
 
 from pathlib import Path

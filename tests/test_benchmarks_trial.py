@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The trial of mechanisms: the jury, switches, numbers of the source, runs that begin with stored stages."""
 
 import dataclasses

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The atlas: UVs kept or made, and packed without overlap or waste; the artist's layers stay."""
 
 import bpy

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Captures imported and exported: exact cameras, also with a moved alignment; ticks, splits, chosen rooms."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Other scene-linear spaces and names: OpenColorIO configurations and the working spaces of Blender 5."""
 
 from __future__ import annotations

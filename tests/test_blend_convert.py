@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Blender lights that stand for fixtures emit the same light: renders of both agree within their noise."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Export as glTF and USD: what the files hold, opened again in an empty Blender, what stays unchanged."""
 
 from __future__ import annotations

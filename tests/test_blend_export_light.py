@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What leaves is what renders: light, names and what is hidden, in files read back; the open file stays."""
 
 from __future__ import annotations

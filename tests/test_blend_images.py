@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Atlases of several images: shared, one an object or part, and parts that need none."""
 
 from __future__ import annotations

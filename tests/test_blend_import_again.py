@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The same mesh file imported again: nothing piles up, and nothing of the artist's is lost."""
 
 from __future__ import annotations

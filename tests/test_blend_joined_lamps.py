@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures that the artist joins in Blender are one lamp, of which every surface keeps its radiance."""
 
 from __future__ import annotations

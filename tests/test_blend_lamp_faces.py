@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures on meshes whose polygons are larger than the lamps: each lamp is exactly its triangles."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Lights in viewports: rows that follow the selection, aiming, and the set-up for EEVEE."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged mesh files are refused in words and end no Blender; what they may name; impossible vertices and paths."""
 
 from __future__ import annotations

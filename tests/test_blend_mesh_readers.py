@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Mesh files as the Blender that reads for the engine finds them: one of each format, and glTF's nodes and scenes."""
 
 from __future__ import annotations

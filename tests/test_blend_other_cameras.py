@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Other views' cameras are hidden while one is looked through, and are shown again as they were."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Renders for comparisons depend on the room, not on the artist's render settings or the names of folders."""
 
 from __future__ import annotations

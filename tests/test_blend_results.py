@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Results on the room: materials applied and reverted, fixtures and lights with the right radiance."""
 
 import math

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Meshes imported without conversion of axes, and exported evaluated and in world space."""
 
 import math

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Exporting the room in slices: same result as at once, while the artist works; nothing is left behind."""
 
 from __future__ import annotations

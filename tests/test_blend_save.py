@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Files that Blender can't write: what the user reads, whatever Blender names as the reason."""
 
 from __future__ import annotations

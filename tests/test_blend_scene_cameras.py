@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The artist's cameras as the capture: exact for every sensor fit; unusable ones are refused."""
 
 from __future__ import annotations

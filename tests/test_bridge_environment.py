@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The engine's environment: pip's output, a real set-up from a folder of wheels, and set-up as a child process."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A job as a sequence of steps: order, slices of work, cancelling, what is told of it."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The engine's process: misbehaving children, its lock, a full disk, stopping it."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Numbers, sizes and counts that no capture has are refused in words, whoever has written them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged and hostile captures: each ends with a clear error within bounded time and memory."""
 
 from __future__ import annotations

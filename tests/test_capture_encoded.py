@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs that are not HDR: their codes, their EXIF, and what `ingest` keeps and says of them."""
 
 from __future__ import annotations

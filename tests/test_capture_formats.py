@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers of COLMAP, transforms.json and FIPT return the cameras from which the capture was written."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What image files mean: layers and parts, primaries and curves, orientation, bits, whatever their suffix."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """`ingest` end to end: captures become capture.json; suspicious photographs are converted or told of."""
 
 from __future__ import annotations

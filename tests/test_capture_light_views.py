@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Views at the resolution of light: budgets, means, majorities, and the files of a run."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Usual mistakes of exporters are named by what explains points, mesh and photographs; right captures are not."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs and masks are found by the name that a person sees, whichever program has written it how."""
 
 from __future__ import annotations

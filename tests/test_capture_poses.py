@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Bundle adjustment of a capture's poses: what is recovered, and what stays as it is."""
 
 from __future__ import annotations

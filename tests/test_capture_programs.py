@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers of other programs' cameras: poses to 1e-5, and pixels of points in the room to 1e-4."""
 
 from __future__ import annotations

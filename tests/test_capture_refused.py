@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Captures that `ingest` refuses: a clear error, and no file written."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Cameras and mesh that do not belong together are told of, and far coordinates are moved to the origin."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Panoramas and photographs through lenses become views that show at their rays what was there."""
 
 from __future__ import annotations

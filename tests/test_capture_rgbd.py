@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Folders of RGB-D frames: cameras, the mesh that is fused, and every fault in words."""
 
 from __future__ import annotations

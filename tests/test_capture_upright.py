@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which way is up in captures: by their format, the planes of the room, or how the cameras were held."""
 
 from __future__ import annotations

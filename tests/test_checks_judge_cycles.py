@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The judge renders what Blender is handed over: its figure is that of Cycles' renders of the applied results."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: usage, exit status, output for people and for scripts."""
 
 from __future__ import annotations

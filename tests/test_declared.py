@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What is declared once: options in panel and command line, operators of functions."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fusion of range images: the surface lies where it was measured, is welded, and open where nothing was."""
 
 from __future__ import annotations

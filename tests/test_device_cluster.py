@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Work on views by a Dask cluster: the same bits even if workers die, and clear errors."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """LLVM and variants: order of candidates, libraries that abort, cached verdicts, the engine's interpreter."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The texts of errors and warnings: each that the code names exists, gets its values, and is used."""
 
 import ast

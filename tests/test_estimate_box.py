@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Complete estimations of a tiny lit box: correct, equal after kills and under changed settings, clear errors."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Estimations of small rooms with lamps that are hard to find or bright spots that are not lamps."""
 
 import io

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Hints: files, surfaces, the mixture; and estimations of a tiny box that honour them and keep the rest."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Memory does not grow with the number of views, because data per pixel is stored in files."""
 
 from __future__ import annotations

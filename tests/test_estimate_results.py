@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What a run shows: parts.json, pictures while it works, textures and maps of rooms without lamps and with openings."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The page that shows the method by the engine's functions works, and a stage can be swapped."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The example captures are whole, and their files, poses and ids are consistent."""
 
 from __future__ import annotations

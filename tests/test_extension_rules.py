@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's zip: what reviewers of Blender's extension platform ask for (CONTRIBUTING.md), and the site.
 
 In a real Blender it is installed, updated, disabled and removed. That needs a Blender executable, named in

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The cleaned copy of a scan on analytic meshes: walls, creases, round and thin things; exact meshes stay."""
 
 from __future__ import annotations

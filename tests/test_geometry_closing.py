@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Holes of a scan: which small ones are closed, and by what triangles; flat ones, and panes that close them."""
 
 from __future__ import annotations

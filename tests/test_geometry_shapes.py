@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces of revolution and sheets that are fitted to the triangles of a scan."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The closing of a scan's small holes in the run folder, and what uses it."""
 
 from __future__ import annotations

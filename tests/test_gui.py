@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The GUI test in the window of the Blender that $FIPT_TEST_BLENDER names (gui/README.md)."""
 
 from __future__ import annotations

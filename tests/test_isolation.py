@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Who may import whom: the engine no bpy, Blender's side no engine package, each floor only those below; and tests."""
 
 from __future__ import annotations

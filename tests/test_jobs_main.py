@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The main job with a stand-in for the engine, and where it places the new light and the object."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The running job beside the artist, with stand-in engines.
 
 Timers never fire without a window: here `running.tick` is called by hand.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What emits: evidence of pixels, fixtures and their sides, of a scan as a whole, and presumed lamps of stage 1."""
 
 from dataclasses import replace

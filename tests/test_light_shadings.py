@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance cache, and shadings: the factorisation is the rendering equation, furnaces, emitters, stage 3."""
 
 import itertools

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Light that no photograph shows as it is: outside, from what nothing shows, and of clipped lamps."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The closed-form estimate on cells: colours, what white surfaces reflect, and groups in place of parts."""
 
 from __future__ import annotations

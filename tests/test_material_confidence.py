@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Expected standard errors: of synthetic pixels, and of light by the doubt about where a scan's lamps are."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of known pixels: a calibrated mixture that errors shared by views do not mislead, and base colours."""
 
 from __future__ import annotations

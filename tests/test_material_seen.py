@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Base colours of surfaces: fallbacks where nothing was seen, and patterns that stay as they are seen."""
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Networks and losses against values by hand and differences; training finds materials, and is reproducible."""
 
 from collections.abc import Iterator

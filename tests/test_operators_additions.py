@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The buttons for what a scan lacks, as scripts press them: find it, keep or delete it, draw a surface."""
 
 from __future__ import annotations

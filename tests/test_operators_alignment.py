@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Pairs of points as scripts pick them: the cameras come to the mesh; bad picks are refused."""
 
 from __future__ import annotations

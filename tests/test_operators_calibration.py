@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The unit of light by one lamp or one lux meter: the flux of a surface, linearity, what stays, undo."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The buttons of the sections Capture and Parts as scripts press them: import, check, colours; bad inputs."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Collect Room: a copy that opens on another machine, without the add-on and without the first files."""
 
 from __future__ import annotations

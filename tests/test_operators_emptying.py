@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Furniture that is removed from a room: planes, patterns and materials go on behind it, and it comes back."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The environment, light groups, exposure, other lights, states of all lights and IES profiles."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Estimate as scripts press it, with the real engine on a tiny room: faults at every stage."""
 
 from __future__ import annotations

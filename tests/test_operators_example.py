@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Try the Example: one click to a room with estimated materials, with the real engine at quick settings."""
 
 from __future__ import annotations

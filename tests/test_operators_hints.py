@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The panel Hints by its operators: hints by click, area and answer; what the run folder gets of them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Balls that show the room's light: where they stand, how large they are."""
 
 from __future__ import annotations

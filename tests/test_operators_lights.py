@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures and lights as scripts drive them: switching, power, colour, conversion."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Apply Results, maps and Revert, run as scripts do: what they show, keep and refuse."""
 
 from __future__ import annotations

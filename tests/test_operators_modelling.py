@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Apply Results on a room that the artist has modelled: geometry stays, surfaces get what was estimated."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """One material a part: faces, the artist's adjustments, picking, selecting, assets, applying again."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs over the room: they hide results only where the artist wants to see them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Backdrops, pictures of the room and over photographs, and the report."""
 
 from __future__ import annotations

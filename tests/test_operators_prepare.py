@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The buttons of the section Photographs as scripts press them, with a stand-in for the engine."""
 
 from __future__ import annotations

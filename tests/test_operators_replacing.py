@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials that replace those of parts: chosen or dropped, kept with the file, and restored."""
 
 from __future__ import annotations

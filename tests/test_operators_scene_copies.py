@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Full copies of a scene are rooms of their own; linked rooms are said and not changed."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where textures of applied results are: beside the file, in the run until it has a name."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The panel Versions and the Python API, on a room with two estimates."""
 
 from __future__ import annotations

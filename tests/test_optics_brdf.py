@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's BRDF and its Mitsuba plugin: densities, energy, symmetry, and both masking functions."""
 
 import drjit as dr

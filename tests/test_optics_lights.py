@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Emissive triangles: drawn in proportion to power, uniform by area, and right as estimators."""
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How sections draw their jobs: the way on first, then warnings; and what the section Capture tells."""
 
 from __future__ import annotations

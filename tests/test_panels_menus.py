@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Menus, the key of the pie menu, and links to the documentation. tests/gui opens them in a window."""
 
 from __future__ import annotations

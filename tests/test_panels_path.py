@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The guided path: what the tab shows at each stage, how little of it at first, and what follows a job."""
 
 from __future__ import annotations

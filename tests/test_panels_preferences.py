@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The preferences: their values, what survives a removal, set-up and check, clearing, drawing, start-up."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Frames of photographs: orientation, demosaicing, working size, clipping and the colors of cameras."""
 
 from __future__ import annotations

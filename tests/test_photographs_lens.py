@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Lenses by EXIF: focal lengths, vignetting and distortion from lensfun's database."""
 
 from __future__ import annotations

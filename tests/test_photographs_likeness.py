@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Brackets that time and exposure data do not tell apart from different views: their content decides."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """`prepare`, step `merge`: brackets become radiance on one scale; motion, clipping, bad files."""
 
 from __future__ import annotations

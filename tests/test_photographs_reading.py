@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """`prepare`, step `read`: headers, brackets, bad files, and prepare.json between the steps."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Scale and up axis of solved cameras: analytic cases, texts of the user, printed markers."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Cameras solved from merged images: poses, views that are left out and why, existing solves, resuming."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Response, exposures, white balances and vignetting from points that several views see."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A chain of stages: what is kept, resumed, dropped and done again; outputs as files; work in threads."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """JSON of others: every fault is one error that names the place, within bounded time and memory."""
 
 from __future__ import annotations

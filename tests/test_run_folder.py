@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A run folder: its settings, links that lead outside, damaged files, files that do not fit each other, a full disk."""
 
 from __future__ import annotations

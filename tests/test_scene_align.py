@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The command `align`: cameras that are nearly right come to a mesh by the points of their solve; refusals."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces that the artist has drawn beside a scan, and rooms that the artist has completed."""
 
 from __future__ import annotations

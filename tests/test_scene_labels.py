@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Parts of triangles: votes of pixels, ties, sparse ids, neighbours, and the choice of the source."""
 
 import tracemalloc

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Regions of single photographs: which belong together, and part masks that are made of them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The misfit of a mesh and a photograph in pixels, by cameras that are off by known amounts."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Parts of a modelled mesh: slots and objects give the borders, masks divide them where they agree."""
 
 from __future__ import annotations

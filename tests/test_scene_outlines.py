@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Outlines of parts on a scan: vertices move to the borders of masks."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged meshes of rooms: each fault is named for what it is."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Scans: telling them from modelled rooms, parts by a random walk, and segments."""
 
 from dataclasses import replace

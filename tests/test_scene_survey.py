@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The survey: which triangles the views see, warnings about their photographs, available parts."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Mixed pixels are found, divided into fragments, and their radiance among the surfaces that they see."""
 
 import itertools

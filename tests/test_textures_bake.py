@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Baking analytic fields: lookups in the textures at random surface points return the fields."""
 
 import numpy as np

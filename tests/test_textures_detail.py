@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Detail of photographs on texels: a wall with a known texture, under known light, seen by three cameras."""
 
 from dataclasses import replace

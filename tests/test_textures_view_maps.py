@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Maps of views: materials on walls, radiance on emitters, zero outside the room."""
 
 import numpy as np

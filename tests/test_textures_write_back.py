@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The write-back: at all viewing angles Cycles reflects as much as the fitted model."""
 
 from functools import partial

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """dev.py and the files around the code: zip, release, pins; commands and files that pages name exist; results."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Path tracing against quadrature and against Mitsuba's own integrator; relighting; material lattices."""
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which triangles are one clipped surface: connected ones of a model, those of one label on a scan."""
 
 from pathlib import Path

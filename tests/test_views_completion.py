@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What photographs tell of surfaces that a scan lacks: panes in holes, lost things, torn parts."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Input from which nothing can be estimated is refused before the stages; wrong poses are found."""
 
 from dataclasses import replace

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs that are not HDR become radiance: a small room and a camera with automatic exposure."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's BRDF as a Mitsuba plugin, for scenes rendered by Mitsuba's own integrators.
 
 After `register()` a scene may say ``{"type": "fipt_brdf", "base_color": ..., "roughness": ...,

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Environment light: an equirectangular image of the radiance from outside the mesh.
 
 Layout and axes are Blender's (`conventions.direction_to_equirect`); directions are sampled in proportion to

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Forward path tracing of a room with the paper's BRDF (Eq. 3 and 4): re-rendering, relighting, ground truth.
 
 Unidirectional paths with one emitter sample and one BRDF sample per surface, combined by the power heuristic

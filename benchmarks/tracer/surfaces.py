@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials at the surfaces of traced paths, as Dr.Jit gathers.
 
 A network can't be evaluated inside a traced loop, so the fields are first sampled on a lattice over each

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """python offline.py FOLDER: the guide as plain HTML pages for the extension's zip, without a connection."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The site's pages "Operators" and "Options", made from what operators and options declare."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The Python API: what the buttons do, for scripts (docs/api.md).
 
 Each function works on one scene, the context's by default, waits for its end and raises a FiptError, whose

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The work behind Import: a capture is read, checked and added to the scene.
 
 Operators import it while Blender starts, so it imports heavier modules inside functions.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The pictures of applied results: which are missing, bringing them to the .blend file, and a copy of the
 open file with all that it needs, for another machine.
 """

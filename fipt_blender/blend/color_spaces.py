@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Colours between the engine, which works in linear Rec.709, and Blender's scene-linear space.
 
 The two are the same by default. The working space of a file (from Blender 5.0) and an OpenColorIO

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Image files as Blender images, with the colour space of their content, and images as arrays."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Every custom property that the add-on stores in Blender's data, and the look-ups by them.
 
 What belongs to a light, a camera or a mesh is stored with it, so that it moves with it into other scenes and

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Node trees of materials and worlds in every supported version of Blender."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """One tree of collections for the room, whatever their names; selecting and removing objects."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of a scene's own: a full copy of a scene shares those of its room and lamps with the first one.
 
 Called before anything is written to them.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """PNG files of 16 bits a channel, which Blender writes only with a scene's render settings.
 
 Standard library and numpy only.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures of a run as icons for the panel; read by timers, operators and threads, never while drawing."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The surfaces of a scene that a ray passes through, one after the other."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The scene's render settings: we set them once, and never again against the artist's will.
 
 A custom property of the scene holds what each setting was and what we made of it. A setting with another

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Saves the result's .blend so that it can be moved together with its textures; explains failed writes."""
 
 from __future__ import annotations

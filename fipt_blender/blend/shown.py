@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Switches a material between its own surface and one of its maps, shown as emission in any engine."""
 
 from __future__ import annotations

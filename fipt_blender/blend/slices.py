@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Work on Blender's data in slices: generators that yield so that windows can redraw in between.
 
 Between two slices the artist may undo, rename or load a file; so a generator keeps names, not Blender's data.

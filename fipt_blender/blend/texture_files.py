@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where the textures of results are kept: beside the .blend file; in the run folder until it has a name.
 
 Each set of pictures has a folder of its own, whose name is a digest of their content. No later set is written

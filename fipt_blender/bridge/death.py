@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Explaining why an engine ended without a message of its own. Standard library only."""
 
 from __future__ import annotations

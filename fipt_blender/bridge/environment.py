@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Making the engine's environment: a virtual environment, the pinned packages, system libraries, an LLVM.
 
 `dev.py` and the add-on (:mod:`.setup`) use the same code. Standard library only.

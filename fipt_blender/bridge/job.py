@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A job: steps one after another, each an engine command or a function on Blender's data.
 
 In a window a timer calls `advance`; background runs call `run`. Standard library only.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The pinned packages of the engine, and the environments that contain them. Standard library only.
 
 Pins are defined in pyproject.toml alone; `dev.py build` copies them into the extension's zip.

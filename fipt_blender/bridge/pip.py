@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """pip as a child process: progress from its output, and explanations of its failures.
 
 pip's own configuration determines the sources of packages. Standard library only.

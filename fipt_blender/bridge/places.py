@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The folders of the package, of the user's runs and of the engine's environments. Standard library only.
 
 Blender deletes an extension's folder on upgrade and its user folder on removal, therefore neither is used.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The description of an environment that set-up makes. Standard library only."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """An engine command as a child process: starting it, reading its messages, cancelling it.
 
 The engine writes its messages to a file, not to a pipe: the panel shows them again when a file is opened.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fetching shared libraries that no Python package contains into an environment's own folder.
 
 Packages are unpacked, never installed: this needs no root access and changes nothing in the system. Standard

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The add-on's set-up as a child process, which makes the engine's environment and reports in messages.
 
 It runs in Blender's Python but in its own process: the window stays responsive, and cancelling it ends pip

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Run a module of this package in any Python, by the path of this file: start.py MODULE ARGUMENTS.
 
 The package is loaded from its folder, because the folder of an extension is beside those of other extensions,

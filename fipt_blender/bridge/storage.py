@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The content of the data folder: listing and deleting runs and environments, and nothing else.
 
 Standard library only. Deleting is a generator that yields between folders, so that windows stay responsive.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The build of PyTorch for this machine: for the CPU, or for a version of CUDA that the driver supports.
 
 Standard library only.

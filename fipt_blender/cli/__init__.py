@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The command line, behind `__main__.py` and `blender --command fipt`.
 
 Exit status: 0 success, 1 the job failed (`error: ...` on stderr), 2 wrong usage, 130 stopped.

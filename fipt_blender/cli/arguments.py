@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The arguments of the command line, and the options of the whole job from them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the command line prints, and how it shares stdout and signals with Blender."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine commands: `python -m fipt_blender.core COMMAND ...`. Messages go to stdout, all else to stderr.
 
 Each command is implemented in its own room and imported when it runs, so that `check` can report a missing

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """All conversions of axes, units and scale; no other module converts them.
 
 Internal conventions: the world is Blender's (right-handed, Z up, metres); poses are camera-to-world with

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Robust least squares: weights by residuals, nuisances that are eliminated, and steps until they settle.
 
 A nuisance is an unknown of one group of rows, such as the radiance of a surface point that several views see,

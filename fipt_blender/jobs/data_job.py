@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Jobs on the data folder: set up and check the engine, delete its contents."""
 
 from __future__ import annotations

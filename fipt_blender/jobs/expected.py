@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Expected times of a job's steps, from what the steps before have written into the run folder.
 
 Seconds on two idle cores, for progress only; None while the files are not there or can't be read.

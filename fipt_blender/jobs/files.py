@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Saving a file brings the textures of results beside it that were applied while it had no name, and notes in
 its runs that a file knows them; one that was opened in a Blender without a denoiser renders without, unless
 the artist has changed that.

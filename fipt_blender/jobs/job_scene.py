@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The scene of a job, looked up by run folder and name each time: undo and loading invalidate pointers."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The main job: from a capture to a .blend with estimated materials and lights, renders and a report.
 
 The command line runs it, in Blender or in a Python with bpy. bpy is imported only by steps on Blender's data.

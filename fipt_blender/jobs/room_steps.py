@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The main job's steps on Blender's data, between the engine's commands.
 
 Objects are kept by name, since undo and loading a file invalidate every pointer.

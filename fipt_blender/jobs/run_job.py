@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Jobs on a run folder.
 
 bpy is imported only to read the preferences, where it exists.

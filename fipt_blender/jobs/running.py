@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The running job, at most one: advanced by a timer in a window, run to its end in background mode."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The contents of a scene's run folder, for panels and polls, which must not read the disk themselves.
 
 While drawing, the answer comes from a cache, which a timer refreshes soon after.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The steps from a capture to a scene with its estimated materials and lights.
 
 The buttons, the Python API and the command line (`main_job`) do the same ones. Each does what is missing.

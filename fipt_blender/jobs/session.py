@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the add-on does between jobs: Esc stops the running one, the results of an estimation are applied."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What Set Up Engine would download, for the panel, which must not ask the GPU's driver.
 
 While drawing, the answer comes from a cache, which a timer fills soon after.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What buttons and the Python API start on a scene: how a job is made, and what follows its end."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What a job's timer makes Blender's windows do: redraw what shows the job, a notice, an undo step."""
 
 from __future__ import annotations

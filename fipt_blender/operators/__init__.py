@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The operators: gather options, call the work, report. One file per section of the panel.
 
 They are imported while Blender starts, so a module imports at its top only what declaring its classes needs.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators made from functions.
 
 `@action("Reset Light", needs=own_lights)` above `def reset_light(scene, light: Annotated[str, "..."] = "")`

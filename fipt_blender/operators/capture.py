@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the section Capture: import cameras, photographs and the room's mesh; the list of views; what
 a scan lacks.
 """

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the preferences: set up the engine, check it, show its log; the data folder."""
 
 from __future__ import annotations

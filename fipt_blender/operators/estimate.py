@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the section Estimate: start, resume and cancel it; parts, versions, the example."""
 
 from __future__ import annotations

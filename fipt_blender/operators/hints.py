@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the panel Hints: say what is known of parts and areas, and estimate again with it."""
 
 from __future__ import annotations

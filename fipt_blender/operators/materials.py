@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the section Materials: apply results, show their maps, revert; the materials of parts."""
 
 from __future__ import annotations

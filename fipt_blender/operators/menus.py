@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The menu View > FIPT, by which the menu search (F3) finds the operators; File > Import and Export."""
 
 from __future__ import annotations

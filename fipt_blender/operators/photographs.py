@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the section Photographs: choose them, find and correct brackets, pick a known distance, make
 a capture of them.
 """

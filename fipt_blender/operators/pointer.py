@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What lies under the mouse pointer, and the mix-ins of operators that wait for clicks."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Conditions that operators poll; each sets the message that explains a disabled button."""
 
 from __future__ import annotations

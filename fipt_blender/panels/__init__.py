@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The side panel: draws the state, holds no logic. One file per section."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The panel Alignment of the section Capture: capture and scene, cameras and mesh."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Capture: cameras, photographs and the room's mesh."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Set Up Engine in the side panel: what it is, its size, its progress, online access."""
 
 from __future__ import annotations

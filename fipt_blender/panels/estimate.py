@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Estimate: starts the engine's run, shows its state, settings, parts and versions."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The panel Hints of the section Estimate: questions of the engine, and what the artist knows."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How a section draws its job: progress while it runs, its error with the remedy, and its warnings.
 
 What the artist does next comes first: a section draws the warnings last, folded to one line.

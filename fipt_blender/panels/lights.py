@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Lights: edits fixtures, new lights and the environment."""
 
 from __future__ import annotations

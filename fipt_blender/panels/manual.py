@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where panels, operators and properties are explained: the guide in the extension, or a site."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Materials: applies the results to the room and shows their maps."""
 
 from __future__ import annotations

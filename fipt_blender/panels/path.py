@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The guided path: conditions under which sections of the tab are shown, and texts of their state.
 
 A section is shown as soon as it can be used. What is done, and what few need, is closed at first.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Photographs: from the photographs of a camera to a capture."""
 
 from __future__ import annotations

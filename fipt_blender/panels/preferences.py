@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The add-on's preferences and their drawing: the engine, the device, the data folder."""
 
 from __future__ import annotations

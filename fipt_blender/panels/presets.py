@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Presets of import and estimation, in files of Blender's own preset system."""
 
 from __future__ import annotations

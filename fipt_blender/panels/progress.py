@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How the progress of a job is drawn, in panels and in the status bar, and durations are written."""
 
 from __future__ import annotations

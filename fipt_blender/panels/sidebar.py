@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The panels of the side panel, made of functions; lists of rows, and text that wraps."""
 
 from __future__ import annotations

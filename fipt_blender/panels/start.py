@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The section Start: the engine, then the example or a folder of the artist's own."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which photographs belong together: exposures of one view, by EXIF, time, content or folders.
 
 Where time and exposure data do not tell, small pictures of the photographs are aligned and compared.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What all groups say together before any is merged: motion, noise, exposure ratios, the response."""
 
 from __future__ import annotations

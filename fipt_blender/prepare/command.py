@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `prepare`: makes a capture from a folder of photographs, step by step.
 
 Each step leaves stage/STEP.json, which says that it is done. A step is a module with

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What a photograph's header says: size, exposure, camera, lens, time. Pixels are not decoded.
 
 Headers come from cameras, phones and other programs; whatever is missing or makes no sense is None.

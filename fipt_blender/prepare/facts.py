@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the steps of `prepare` have found out (stage/STEP.json), as the report and the panel read it.
 
 Standard library only: Blender's side imports it.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The pixels of one photograph: sensor values or codes as stored, and linear values at the working size."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What EXIF and lensfun's database know of a photograph's lens: focal length, vignetting, distortion.
 
 Vignetting is divided out of the merged radiance. Distortion is only where the camera solve starts from: it

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Step `merge`: images/NAME.exr of all groups, on one scale; one group at a time, in bands of rows."""
 
 from __future__ import annotations

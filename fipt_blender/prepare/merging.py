@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Merging exposures to radiance: means weighted by a noise model times a hat, and what has moved in between.
 
 The weights depend on the value that a first merge expects, not on the noisy value itself, which would prefer

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Alignment of hand-held exposures: a shift and a turn, by Gauss-Newton on logarithms of their values.
 
 Inverse compositional alignment (Baker and Matthews 2004, Lucas-Kanade 20 Years On) from coarse to fine, with

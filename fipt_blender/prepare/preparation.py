@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """prepare.json: what `prepare` knows of the photographs, their groups and its settings; the folder's paths.
 
 The add-on and the user edit the file between steps; therefore it is read and checked again by each step.

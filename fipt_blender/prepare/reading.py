@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Step `read`: finds the photographs of a folder, reads their headers and groups them; fills prepare.json."""
 
 from __future__ import annotations

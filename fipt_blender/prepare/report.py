@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The report page of a prepared capture: its images, brackets, cameras and messages; readable offline.
 
 Any step may be missing (only `read` has run, or the job was stopped); the page shows what exists.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A camera's response, recovered from brackets: which linear value each code of 8 bits stands for.
 
 Debevec and Malik 1997 (Recovering High Dynamic Range Radiance Maps from Photographs), with the unknown

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Step `scale`: writes sparse/0 with Z up, the floor near zero and, where a length is known, in metres.
 
 A length comes from two picked points, from a printed marker, or from the transform to a mesh. Poses are

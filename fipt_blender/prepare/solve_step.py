@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Step `solve`: cameras of the merged images, by pycolmap or from an existing solve, as sparse/0.
 
 stage/solve holds the copies in which features are found, the database that a stopped solve goes on with,

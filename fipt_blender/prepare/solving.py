@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera poses from eight-bit copies of the photographs: SIFT, matching and incremental mapping by pycolmap.
 
 Features and matches are kept in a database, so that a stopped solve goes on where it stood.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Step `vignetting`: a point of the room looks darker where it lies nearer to a corner of a photograph.
 
 The merge corrects what lensfun's database knows. It does not know all lenses, and a camera may have corrected

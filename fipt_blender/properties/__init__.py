@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The panel's state, stored in the scene: `scene.fipt`, one group per section.
 
 Members stand before their groups. The modules import bpy and light modules only: they are imported while

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the panel Alignment: picked points, and how well the cameras fit."""
 
 from __future__ import annotations

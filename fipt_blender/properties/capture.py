@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the section Capture: the source of the photographs, the views, and the room's mesh."""
 
 from __future__ import annotations

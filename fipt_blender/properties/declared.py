@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's properties from options that `core.run.declared` describes, and their values back."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the section Estimate: the preset, the settings that differ from it, and what is one part.
 
 Only changed values are stored, so that all others follow the preset.

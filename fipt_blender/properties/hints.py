@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the panel Hints: what the artist knows of parts and areas, and the engine's questions."""
 
 from __future__ import annotations

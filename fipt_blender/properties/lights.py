@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the section Lights: fixtures, new lights and the environment.
 
 The settings of a light are custom properties of its object, so that they move with the object into other

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the section Materials: how results are applied, and which map is shown on the room."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """State of the section Photographs: the folder, the groups of bracketed exposures, and the settings."""
 
 from __future__ import annotations

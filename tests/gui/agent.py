@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What a driver in another thread may ask of Blender; only `simulate` acts, by events."""
 
 from __future__ import annotations

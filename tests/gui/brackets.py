@@ -1,6 +1,4 @@
 #!/usr/bin/env python3
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a camera's brackets of the example's images, and a solve of their cameras: `brackets.py CAPTURE OUT`.
 
 Writes OUT/card/IMG_NNNN.jpg, three exposures for each of a few views, and OUT/solve/transforms.json. Runs in

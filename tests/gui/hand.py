@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Moves Blender's pointer, clicks and types, and finds the buttons to click.
 
 Buttons are found by moving the pointer over them and asking Blender which operator or property lies under it.

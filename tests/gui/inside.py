@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The story's questions about the scene, its job and its lights; run inside Blender, change nothing."""
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
 #!/usr/bin/env python3
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """python tests/gui/pictures.py SHOTS [OUT]: the guide's pictures from the GUI test's, those that SHOTS has.
 
 Run it after the story with the draft preset, in an interpreter with Pillow. OUT is docs/images.

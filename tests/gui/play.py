@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Started by `blender --python`: tells the story that run.py asks for in $FIPT_GUI, from a thread."""
 
 from __future__ import annotations

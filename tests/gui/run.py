@@ -1,6 +1,4 @@
 #!/usr/bin/env python3
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The GUI test's command: builds and installs the extension, opens a window, tells the story (README.md)."""
 
 from __future__ import annotations

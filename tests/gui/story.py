@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The GUI test: from an empty scene to a relit render, by mouse and keyboard.
 
 Each chapter acts through the window, then asserts on Blender's data and takes its pictures.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The story's last chapter: from the estimated room to what a client gets, in few clicks."""
 
 from __future__ import annotations

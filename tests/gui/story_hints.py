@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The story's chapter on hints: a part clicked, an estimate again, a question answered."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The story's chapters on lights and seeing: aiming, EEVEE, menus."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The story's chapter on the materials of parts: the list, picking, adjusting and selecting faces."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A Blender window driven by a script: buttons, fields, menus, lists and the sidebar's sections."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A small room with a finished run, and an engine that bakes constants for Apply Results."""
 
 from __future__ import annotations

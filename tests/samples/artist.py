@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What an artist does with a room that has results, and what must still be there afterwards."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Random sequences of an artist's actions on a room with results, and what must hold after each of ours."""
 
 from __future__ import annotations

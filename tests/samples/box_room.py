@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A box room with smooth patterns on its walls, photographed by ray casting: no renderer, milliseconds."""
 
 from __future__ import annotations

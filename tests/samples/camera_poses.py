@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Poses of cameras (4, 4) with OpenCV axes, and random rotations."""
 
 from __future__ import annotations

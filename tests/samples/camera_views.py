@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Views with all kinds of lenses and poses, and where their pinholes project points."""
 
 from __future__ import annotations

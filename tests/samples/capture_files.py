@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Small captures in every format, written from the same cameras of known poses."""
 
 from __future__ import annotations

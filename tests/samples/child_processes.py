@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """For tests of child processes: whether one is alive, and waiting for a condition."""
 
 from __future__ import annotations

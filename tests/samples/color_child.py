@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What a room looks like in renders, comparisons and exports, measured in a Blender with its own OCIO.
 
 As a module, with a folder and the working space where that is not the default, it writes seen.json to the folder.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Counts the function calls of a piece of work: the same on any machine, however busy."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Writes RAW photographs for tests: uncompressed DNG files of 12 or 14 bits with a Bayer mosaic (RGGB).
 
 After Adobe's Digital Negative Specification 1.4 and TIFF 6.0; only the tags that readers need.

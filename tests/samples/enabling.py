@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What enabling the add-on may load: each module more makes every start of Blender slower."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The real engine commands in this process, where what is tested is what Blender's side does with their answers."""
 
 from __future__ import annotations

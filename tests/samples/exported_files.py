@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What is in exported files: the JSON of glTF, and what Blender reads back."""
 
 from __future__ import annotations

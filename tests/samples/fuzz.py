@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Damaged and hostile inputs for every reader: none may hang, take much memory, crash, or touch other files.
 
 Each input is a valid sample with a few mutations, chosen by Hypothesis and read by a child process of its

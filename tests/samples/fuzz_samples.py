@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Small valid samples for every reader, for fuzz_targets.py and the tests of damaged inputs."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What fuzz.py damages: every reader of files of others, with a sample of fuzz_samples.py."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Image files as other programs write them: PNG of any depth, EXR of parts and layers, TIFF, ICC profiles."""
 
 from __future__ import annotations

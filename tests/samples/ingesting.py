@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """`ingest` in this process, and changes to the files that it reads."""
 
 from __future__ import annotations

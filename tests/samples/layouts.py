@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A stand-in of Blender's layout, for tests of what panels draw."""
 
 from __future__ import annotations

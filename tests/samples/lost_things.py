@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A room with a thing that its scan lacks, and photographs of both."""
 
 from __future__ import annotations

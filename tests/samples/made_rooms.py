@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the engine makes of a run's scan, as an estimation makes it, written to results/scan.npz."""
 
 from __future__ import annotations

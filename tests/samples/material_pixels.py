@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Synthetic pixels of surfaces of known materials, with their shadings."""
 
 import numpy as np

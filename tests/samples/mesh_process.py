@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """One Blender that reads the mesh files of many tests, of which each would otherwise start its own."""
 
 from __future__ import annotations

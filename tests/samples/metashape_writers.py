@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera files of Metashape and RealityScan, written by the rules of their documentation.
 
 Nothing here uses the readers' code.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Pixels of any number of views of a box with a bright panel, each wall and the panel one object."""
 
 from __future__ import annotations

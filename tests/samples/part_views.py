@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Views around a thing in the middle of a room, with part masks, and runs of scans of that room."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Tiny photographs with EXIF, as cameras write them."""
 
 from __future__ import annotations

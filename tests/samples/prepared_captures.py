@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """`prepare` in this process, and folders as it leaves them: two brackets, a single photograph, the steps' facts."""
 
 from __future__ import annotations

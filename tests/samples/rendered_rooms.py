@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A tiny estimated room in the open file, with a run folder whose photograph is a render of it."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Folders of RGB-D frames of a wall, as tsdf-fusion and ScanNet's exporter lay them out."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera files of other programs, written by the rules of their documentation from cameras of known poses.
 
 Nothing here uses the readers' code: each writer states its program's axes and units itself.

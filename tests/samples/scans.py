@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Rooms as a scanner leaves them: one welded mesh of small triangles, with noise."""
 
 import numpy as np

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """For tests of shadings: lookups by triangle, random surface points, independent estimates."""
 
 import mitsuba as mi

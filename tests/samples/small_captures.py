@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A lit box and its photographs as a run folder, made in a second: input for tests of full estimations."""
 
 import argparse

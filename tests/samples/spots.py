@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Renders of a small spot of the scene, seen straight on."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Jobs whose engine is a script that works until it is told to stop; timers are called by hand."""
 
 from __future__ import annotations

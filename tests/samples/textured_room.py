@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs of an empty room with patterned walls, in which a camera solve finds features."""
 
 from __future__ import annotations

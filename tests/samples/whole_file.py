@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The state of the whole open file, to tell whether an action has changed anything in it."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces that a scan lacks, as objects of the room before an estimation: found by the engine, which the
 artist may keep, edit or delete, or simple solids that the artist draws.
 """

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What is behind inserted objects, the rendered room or the photograph with the room as shadow catcher; and
 the image that a view's camera shows as its background.
 """

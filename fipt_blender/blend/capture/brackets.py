@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The list of groups in the scene, filled from prepare.json and read back, and the outcome for each group."""
 
 from __future__ import annotations

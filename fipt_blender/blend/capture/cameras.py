@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The capture's views as Blender cameras, each with its photograph as background image.
 
 In Blender, resolution and pixel aspect belong to the scene: they are stored as custom properties of the

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The scene's ticked views to capture.json, with the present poses of their cameras."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which side of an imported surface is its front: the one that the cameras see.
 
 Viewports hide surfaces from behind, and lamps shine from their fronts.

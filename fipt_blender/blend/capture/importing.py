@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Imports a capture that `ingest` has read into the artist's scene: cameras, the mesh, the list of views.
 
 Cameras and the imported mesh are children of the empty "FIPT Alignment", in the coordinates of ingest.json.

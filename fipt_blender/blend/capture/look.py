@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Looking through a view's camera, with its photograph, in the open 3D views."""
 
 from __future__ import annotations

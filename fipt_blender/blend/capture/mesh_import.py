@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Imports the room's mesh file into the scene, in the capture's world coordinates.
 
 Blender's importers read the file. None of them may convert the axes, since the capture's `world_from_source`

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Names of other files in mesh files: OBJ's material libraries and textures, glTF's buffers and images.
 
 Blender's importers open them. FBX and USD files name others, too, in ways that only their readers know.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What a Blender of its own does for `core.capture.mesh_file`: reads a mesh file and writes its arrays."""
 
 from __future__ import annotations

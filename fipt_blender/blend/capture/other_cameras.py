@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Hides the other views' cameras and their parent while the artist looks through one, with their lines.
 
 Blender does not report that a 3D view leaves its camera, therefore a timer watches the 3D views. Files are

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Colours over the room in the 3D views, one per triangle: coverage, parts.
 
 They are drawn after Blender's own drawing, and no mesh, material or shading of the artist's is changed. An

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Marks of the picked pairs in the 3D views: crosses on the mesh or, in a view, on its photograph.
 
 In a view, a line leads from the picked place to where the mesh's point appears: the pair's error.

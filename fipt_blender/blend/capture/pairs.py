@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Pairs of points picked on the mesh and in photographs: kept with the scene, solved, and applied."""
 
 from __future__ import annotations

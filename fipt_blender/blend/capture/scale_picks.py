@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Two points of a known distance, picked in merged photographs: the image shown, the setting's text."""
 
 from __future__ import annotations

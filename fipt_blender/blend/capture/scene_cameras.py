@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The artist's cameras with their background images as a capture, e.g. from a matchmove or fSpy.
 
 They are written as transforms.json, so that the engine's `ingest` checks them like any other capture.

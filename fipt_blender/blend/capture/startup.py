@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The cube, light and camera of Blender's start-up file, which would be rendered with the room."""
 
 from __future__ import annotations

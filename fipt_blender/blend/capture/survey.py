@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The engine's survey of the views: its input, and its result for the list of views and the overlay."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Colours of materials, lights and the world in linear Rec.709, which readers of exported files expect."""
 
 from __future__ import annotations

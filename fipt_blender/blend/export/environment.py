@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Our world for USD, in the one form that all versions of Blender's exporter write rightly.
 
 The exporter takes the turn of a Mapping node for one of type Point whatever its type, and from Blender 5.0 on

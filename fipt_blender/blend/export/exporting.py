@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Export of the estimated room as glTF or USD: plain materials and lights stand in while Blender writes it.
 
 The file is left as it was. What the formats can't hold is said in warnings.

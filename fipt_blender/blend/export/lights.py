@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Lights that Blender's exporters do not make: of glowing surfaces, and spots in place of area lights."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials in the form that exporters understand: plain Principled with 8-bit images, or one that emits."""
 
 from __future__ import annotations

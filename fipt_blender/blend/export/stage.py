@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A scene of what renders show, in which plain things stand for those that exporters do not understand."""
 
 from __future__ import annotations

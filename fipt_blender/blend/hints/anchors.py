@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where hints are: points on objects, which move with them, and areas of faces.
 
 A fixture is replaced by the next results: hints on it are kept on the object that it was split off.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Hints of the scene to hints.json, and the questions of doubts.json to the scene."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Balls that show a room's light: a gray one its shadows, a mirror ball its surroundings."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Free spots of a room where an inserted object can stand.
 
 Pure geometry on a ray-casting function, independent of the room's absolute size.

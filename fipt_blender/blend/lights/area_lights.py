@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """New lights: Blender's of a shape, and rectangles of known radiance."""
 
 from __future__ import annotations

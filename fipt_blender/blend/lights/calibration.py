@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The unit of light. Photographs tell radiance up to a factor, which the lumens of a lamp or the lux at a
 place tell. From then on Blender's numbers are W/(m² sr) and W: a sky or lamps of the artist fit to the room.
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Colours of light: luminance, the colour of a black body and the temperature of a colour.
 
 Linear Rec.709 throughout. Standard library only, since the panel uses it while drawing.

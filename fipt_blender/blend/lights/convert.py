@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Replaces a fixture's emission by Blender lights of the same radiance and shape, and reverts that.
 
 Blender lights can be aimed and shaped, and only they light the room in EEVEE. Cameras don't see them, so the

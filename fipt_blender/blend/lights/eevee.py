@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A room that looks right in EEVEE: fixtures as Blender lights, and a light probe volume of the room's size.
 
 EEVEE renders neither the light of emissive surfaces nor, without a baked volume, light that was reflected.

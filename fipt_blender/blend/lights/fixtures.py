@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Estimated emitters as objects "Ceiling panel" ... that the artist can select, move, switch and dim.
 
 A fixture's polygons move from the room's result meshes into an object of its own;

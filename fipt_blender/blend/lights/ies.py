@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """An IES profile on a Blender light: its file goes into an IES Texture node, which only Cycles renders."""
 
 from __future__ import annotations

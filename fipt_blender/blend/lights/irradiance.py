@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The irradiance at a point of a scene, by Cycles."""
 
 from __future__ import annotations

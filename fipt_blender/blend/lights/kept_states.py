@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Keeps the settings of fixtures, and changed lights that stand for them, when results are applied again."""
 
 from __future__ import annotations

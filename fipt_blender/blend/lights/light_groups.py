@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles' light groups: a render pass for each fixture, the environment and the lights that were added."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Applies the settings of a scene's lights (custom properties of their objects) to their strengths.
 
 No strength is saved to be restored: it is computed from the settings each time it is written.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Light that no photograph shows, as Blender lights of the place, size and radiance that explain it."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Area lights that the artist adds to the room, with size, power and place derived from it."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A place for a new light below a room's ceiling, and its power; pure geometry on a ray-casting function."""
 
 from __future__ import annotations

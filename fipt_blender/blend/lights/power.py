@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A light's power as Blender counts it, in watts, and in lumens. Imported while panels draw."""
 
 from __future__ import annotations

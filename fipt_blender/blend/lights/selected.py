@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A light that is selected in a 3D viewport becomes the active row of the list of lights. Imported while
 Blender starts: needs bpy alone.
 """

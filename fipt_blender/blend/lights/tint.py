@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A light's colour and power from its settings. Quick to import, since panels use it while drawing."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated environment as the scene's world, black where the run has none."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Cycles renders to linear Rec.709 that can be compared with photographs: nothing clamped, box filter,
 whatever the artist's settings are; and the saving of Blender's renders.
 """

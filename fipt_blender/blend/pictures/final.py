@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Final pictures: Blender's own render, as by F12, of what the camera sees or of a scene over its photograph.
 
 In a window Blender renders beside the artist's work, and shows the first samples and its own progress.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reads and writes image files as arrays with Blender's own image code."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Inserted objects over a photograph, the plate: Cycles' shadow catcher, put together by compositor nodes.
 
 The nodes are in a copy of the scene: picture = object + (1 - alpha of the object) plate catcher. The pass

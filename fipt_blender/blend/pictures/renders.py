@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The frames and files of renders: of views into the run folder, listed in renders.json, and of pictures."""
 
 from __future__ import annotations

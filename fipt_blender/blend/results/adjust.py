@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The artist's corrections on top of an estimate: a node group between a part's textures and its shader.
 
 All materials of a part have the same values, in the inputs of their nodes. `adjusted` has the same formulas

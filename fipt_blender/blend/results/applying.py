@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Applies results to the room: result meshes and fixtures are prepared in slices, then swapped in.
 
 Until the last slice nothing visible has changed, so that a failure leaves the room as it was.

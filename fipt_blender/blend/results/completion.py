@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Completes a picture of a surface from the parts of it that are known: patch-based, from coarse to fine.
 
 Each patch of the hole is matched to the known patch that is most alike (PatchMatch: Barnes et al. 2009), and

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A material that is dropped on a face of the room replaces that of the whole part.
 
 Blender puts it into the slot of that face's object; the rest of the part may be on other objects. Imported

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Removes furniture from the room: hides it, and completes the planes and materials that it has hidden.
 
 The hidden objects stay in the file, faces of a larger mesh as an object of their own. What is completed

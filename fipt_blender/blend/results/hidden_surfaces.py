@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What furniture has hidden: the planes beside it, and what is known of their estimated maps.
 
 A plane is looked at through a window, a grid of cells. A cell is known where photographs saw the surface,

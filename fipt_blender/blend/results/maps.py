@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Shows the room with its estimated materials, with the artist's own, or with a single map, in any engine.
 
 A map is shown as emission, with a view transform that does not change its values.

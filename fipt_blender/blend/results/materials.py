@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated materials: a Principled material for each part, its maps in nodes with fixed names.
 
 Parts share the atlas images; a part on several images has a material for each. The artist's materials stay in

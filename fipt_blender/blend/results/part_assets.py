@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Parts as assets: materials of their mean values, with a picture of a ball.
 
 On any other object the textures of a part would be one texel: only the room has the atlas's coordinates.

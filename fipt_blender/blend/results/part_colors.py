@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A colour for a part: its base colour is moved so that its mean is that colour, and its pattern stays.
 
 The contrast of the pattern follows the brightness: a wall that is half as bright has half the differences, of

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The list of parts in the panel: what it shows, the adjustments of its rows, and the faces of a part.
 
 The adjustments themselves are in the materials; the list has none of its own.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Gives the faces of result meshes the materials of their parts, which are made as they are needed.
 
 Materials of earlier results are built anew and keep the artist's name and adjustments.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The results of a run as Apply Results reads them: parts, atlas, textures and emitters."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of the artist in place of those estimated of parts, and the way back.
 
 An estimated material names what has replaced it, so that the choice is kept with the file and by Apply

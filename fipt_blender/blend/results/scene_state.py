@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What results change of a scene besides its room: panel, exposure, engine, other lights."""
 
 from __future__ import annotations

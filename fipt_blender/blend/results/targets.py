@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """New result meshes for the room's objects, and what each of their faces shows of the run's room.
 
 An object whose faces are those that were exported gets a mesh made anew from its own one. A result mesh that

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Texture coordinates in metres for parts whose material was replaced, along the longest wall of the room.
 
 They are a UV layer of the result meshes, which renders use in place of the artist's own; faces of other

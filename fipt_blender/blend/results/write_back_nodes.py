@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A node group between Principled and the output that makes Cycles agree with the fitted model.
 
 The formulas are those of `core.textures.write_back`. The textures stay connected to Principled, so

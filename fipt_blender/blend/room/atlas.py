@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The atlas that the engine bakes onto: UVs of the whole room in few images, written to atlas.npz.
 
 UVs that the artist made are kept where they can hold a texture, other objects are unwrapped; all islands are

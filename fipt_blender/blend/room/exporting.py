@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's objects to room.npz and room.json, in slices. The meshes are evaluated, modifiers included."""
 
 from __future__ import annotations

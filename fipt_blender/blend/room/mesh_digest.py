@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Whether the artist has changed a result mesh since we made it, by a digest of its geometry and layers."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The artist's original meshes and materials: set aside while result meshes are shown, restored exactly.
 
 Every object of the room gets a result mesh of its own, made from its evaluated mesh, so that instances and

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Packing UV islands into images by shelves: sorted by height, they stand in rows from the bottom up.
 
 Numpy only.

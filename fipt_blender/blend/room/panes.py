@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The objects of what the engine has added to a scan, beside those of the room."""
 
 from __future__ import annotations

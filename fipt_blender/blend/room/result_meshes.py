@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Result meshes: new meshes made from the room's objects as they are evaluated without results;
 the cleaned vertices of scans."""
 

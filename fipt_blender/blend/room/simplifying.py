@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The room simplified to a budget of triangles by Decimate modifiers, which the artist can change."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which surface of the run's room each face of a mesh stands for: the same face, or the nearest one.
 
 The artist may have deleted, joined, moved or subdivided faces since the room was exported. A face without a

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """UVs of single objects: the artist's where they can hold a texture, else new ones by Smart UV Project."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The UV layer "FIPT" that carries the atlas on the result meshes. The artist's own layers stay untouched."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Points that are nearly on a mesh are moved onto it: point-to-plane ICP (Chen and Medioni 1992) with scale.
 
 Errors are measured over the scale, in units of the points: shrunk onto a wall, they would fit best otherwise.

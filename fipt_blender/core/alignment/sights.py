@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The similarity of points that were picked on a mesh and in photographs: each photograph gives a ray.
 
 Distances from rays are linear in scale and shift once the rotation is known, so that rotations all around are

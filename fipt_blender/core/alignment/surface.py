@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A mesh as points, for finding which of its triangles are nearest."""
 
 from __future__ import annotations

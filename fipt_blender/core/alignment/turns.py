@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Rotations: evenly spread, between two directions, about a vector. Needs only numpy."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Images with fewer pixels: means of radiance over the pixels that each covers, majorities of ids."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Checks of a capture: errors and warnings about poses, intrinsics and pixels.
 
 Nothing here writes files; `ingest` runs all checks before it writes anything.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Usual mistakes of programs that export cameras and meshes: one table of what corrects each.
 
 Each is tried by :mod:`.mistakes`, one at a time, and applied by its name (`--correct`). Poses are camera to

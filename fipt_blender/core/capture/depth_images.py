@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Depth images of captures (16-bit PNG or EXR), and the mesh that is fused from them."""
 
 from __future__ import annotations

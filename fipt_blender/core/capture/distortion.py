@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Resampling of images to pinhole views, with COLMAP's camera models from pycolmap: distorted ones to what a
 lens without distortion sees, panoramas to the faces of a cube.
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs that are not HDR: sRGB's curve, clipping, the exposures in their EXIF; errors of image files.
 
 Their response is unknown. They are read as if it were sRGB's curve, which can be undone without loss; the

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reading OpenEXR files: which layer is the picture, its channels on the display window, its primaries.
 
 Sizes are checked before the library allocates memory for pixels.

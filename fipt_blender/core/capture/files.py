@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Files found by the name that a person sees: the one search for photographs, masks and depth images.
 
 Camera files name photographs as they lay on another computer: with other slashes, letters' case, accents and

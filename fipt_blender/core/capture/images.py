@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reading and writing image files: radiance and codes of photographs, id images. The first row is the top.
 
 A file's content decides what it is, not its suffix. OpenEXR files are read by :mod:`.exr_file`, HEIC by

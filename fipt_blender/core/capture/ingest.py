@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `ingest`: converts a capture in any known format to the capture.json of a run.
 
 A rejected capture leaves no files: the photographs, each decoded once after its pose, are checked while those

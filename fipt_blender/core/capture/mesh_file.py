@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Vertices and triangles of mesh files, as Blender's importers read them in a process of its own.
 
 There a damaged file, at which an importer crashes, takes nothing along. Needs the standard library and numpy.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Whether cameras, sparse points, mesh and photographs belong together, and which usual mistake explains it
 if not: one check for all formats, at the import and before an estimation.
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How a capture is read: the options of the engine's `ingest` and of the command line's `estimate`.
 
 Needs the standard library and numpy alone, since Blender's side imports it.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Equirectangular panoramas, which are read as six pinhole views: the faces of a cube around the camera.
 
 The camera has the axes of COLMAP's model EQUIRECTANGULAR: Z points to the image's centre, X to the right of

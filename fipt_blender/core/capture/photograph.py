@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A photograph while it is imported: its file, the views that show it, and their images that must be written.
 
 What Blender could not show is written: views without distortion, faces of panoramas, curves, layers and

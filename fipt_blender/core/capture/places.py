@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where the photographs, id images and mesh of a camera file lie, and which files lie unused beside them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Bundle adjustment of the photographs' poses, where those of the capture are not exact.
 
 The poses of scanning apps are off by some pixels. SIFT features are matched between photographs that overlap

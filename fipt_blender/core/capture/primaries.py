@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What an image's values mean: primaries and transfer curves by profiles, chromaticities or code points."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The coordinates of cameras and mesh: corrected as the user says, and near the origin.
 
 Files that programs write beside a mesh of other coordinates are followed where it fits with them. Far

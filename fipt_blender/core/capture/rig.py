@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What every capture reader returns: photographs, lenses and poses in the coordinates of their source.
 
 Poses have OpenCV camera axes; the world is still that of the source, which `ingest` converts.

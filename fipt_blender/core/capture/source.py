@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A capture as it is read, and where its mesh comes from: a file, fewer of its triangles, or depth images."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Names of files that are photographs. No imports: Blender's side reads them while it starts."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which way is up in a capture, by how its cameras were held and by the planes of its room."""
 
 from __future__ import annotations

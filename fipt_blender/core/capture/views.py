@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The views of a run as the engine uses them: pinhole cameras in Blender's world, with linear images.
 
 They are read from capture.json, which `ingest` writes after all its checks. A budget decides the resolution

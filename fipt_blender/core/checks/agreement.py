@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where photographs agree: on the surfaces that they see, and at points in front of these.
 
 Photographs of one surface point agree, apart from gloss. Where the mesh lacks a surface, each photograph sees

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `align`: refines where the cameras of a capture are relative to the mesh of the scene.
 
 The sparse points of the camera solve, or what depth images measure, are moved onto the mesh by ICP, after

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Whether photographs, poses and mesh belong together, before anything is estimated.
 
 Two photographs of the same surface points correlate, whatever their exposures and responses are, if both

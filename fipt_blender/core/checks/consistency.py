@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The consistency table: what each view shows of each cell, a small piece of the room's surface.
 
 Photographs of one surface point agree, apart from gloss, if exposures, poses and mesh are right. Checks of

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """By how many pixels the mesh is displaced in a view: its edges are compared with those of the photograph.
 
 Edges of the mesh are jumps of depth and of the normal. Across each of them the photograph's gradient is

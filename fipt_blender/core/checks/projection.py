@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The plain projection of the training photographs onto the mesh, seen from another camera.
 
 It knows neither materials nor light: for each pixel's surface point, the radiance of the training pixels that

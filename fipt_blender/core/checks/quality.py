@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How good a result is, by photographs that the estimation has not seen.
 
 Each of them is rendered from the estimate, and projected from the training photographs (:mod:`.projection`),

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Misaligned views (the paper's rejection of frames, supplementary "Geometry acquisition").
 
 What one view shows is predicted from what all other views saw of the same surface cells. Registration finds

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Views rendered from a finished estimate alone: paths of Eq. 4 without the radiance cache (paper Sec. 3).
 
 They are lit by what the .blend has: lamps without a surface shine, but cover nothing and are not seen.

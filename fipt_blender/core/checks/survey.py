@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `survey`: what each view sees of the room, problems of its photograph, the available parts,
 and where photographs disagree. A quick check for the artist; the estimation does not read it.
 """

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Checks the photographs against each other: misaligned views are left out and exposures are corrected, with
 warnings that name them.
 """

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Things that a scanner lost: a glossy or dark table, a cabinet, a slab.
 
 Photographs of a lost thing disagree on what the scan has behind it, and agree at the thing's own surface

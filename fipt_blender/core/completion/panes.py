@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces that are added to a scan: panes in its flat holes, prisms for things that it lost, and completions
 of parts that it tore.
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces in rows of about square cells, of which any can be meshed, fitted to triangles of a scan.
 
 Upright surfaces of revolution are lamp shades, vases, pots, drums and columns; sheets, which are heights over

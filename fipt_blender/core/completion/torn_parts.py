@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces that complete the parts that a scan tore, from the triangles that are left and from masks or
 photographs.
 

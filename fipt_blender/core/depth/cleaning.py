@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fused meshes without specks in the air, and meshes of millions of triangles simplified to a budget.
 
 Edges collapse by quadric errors (Garland and Heckbert 1997) where the surface stays, so that flat walls lose

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The surface of a distance field as one welded mesh: marching cubes (Lorensen and Cline 1987) over blocks.
 
 The triangles of each of the 256 sign patterns of a cell are derived, not tabulated: on each face of the cell,

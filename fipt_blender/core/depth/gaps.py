@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What depth cameras lose between measured pixels: black, shining and narrow surfaces.
 
 The inverse of the depth is linear on a plane, so that a plane on both sides of a gap is continued exactly.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fused meshes as binary PLY files, with smooth normals and vertex colors."""
 
 from __future__ import annotations

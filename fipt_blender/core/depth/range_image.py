@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A range image: what one shot of a depth camera has measured, with its camera."""
 
 from __future__ import annotations

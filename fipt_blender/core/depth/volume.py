@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A truncated signed distance field in blocks of voxels, which exist only near measured surfaces.
 
 Source: Curless and Levoy 1996 (weighted mean of projective distances); Niessner et al. 2013 (blocks).

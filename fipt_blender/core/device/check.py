@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `check`: packages, devices and memory of this machine, and what is missing."""
 
 from __future__ import annotations

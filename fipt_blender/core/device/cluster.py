@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Work on views by the processes of a Dask cluster, also on other machines without a shared disk.
 
 `distributed` is imported and the network is used only if an address is given. Work is sent as bytes that Dask

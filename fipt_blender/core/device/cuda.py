@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The GPUs of this machine according to NVIDIA's driver library. Standard library only."""
 
 from __future__ import annotations

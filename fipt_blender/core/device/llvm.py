@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Finding an LLVM with which Mitsuba's CPU variants work. Each candidate is tried in a process of its own.
 
 Dr.Jit takes the first libLLVM that the loader finds, and many of them abort the process (LLVM 14 to 16 on

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A small workload that tests one Mitsuba variant; this file is run as a script in a child process.
 
 An unsuitable LLVM raises no exception but aborts the process. Therefore only the child's output and exit

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The one place that chooses Mitsuba's variant and torch's device.
 
 Mitsuba and torch are imported inside the functions, because the path of LLVM must be known before.

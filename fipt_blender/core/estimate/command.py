@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `estimate`: the method of the paper on a run folder, resumable stage by stage."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `complete`: what an estimation would add to a scan, before it, for the artist to decide.
 
 It works on the room and the views that Blender wrote for a survey, and leaves results/scan.npz

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """results/doubts.json: the parts of which a hint would help most, each with a question and a picture.
 
 The posterior of the closed form says how uncertain roughness and metallic of a part are; the number of its

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """One estimation on a run folder: the stages of :mod:`.pipeline`, pictures of them, and the results."""
 
 from __future__ import annotations

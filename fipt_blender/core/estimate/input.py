@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The input of an estimation: the views at the resolution of light, and the room of :mod:`.room_stages`."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The stages after the last training: the estimate on all surfaces, and how good it is."""
 
 from __future__ import annotations

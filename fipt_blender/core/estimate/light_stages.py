@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The stages that bake shadings: stage 1 from the cache (Sec. 4.2), stage 3 by path tracing (Sec. 4.3)."""
 
 from __future__ import annotations

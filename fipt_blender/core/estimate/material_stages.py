@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The stages that fit materials in closed form, and find the emitters (paper Eq. 5 and Sec. 4.4)."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """results/parts.json: what the units of an estimate are called, how large they are and what they are made of.
 
 The units themselves are in parts.npz. Blender makes one material for each of them, and lists them.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's algorithm (Sec. 4) as a list of stages.
 
 Each stage is a pure function; its signature says what it takes and makes (:mod:`..run.chain`). Stages without

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The stages before any light: what pixels see, the radiance of photographs, and the check of the views.
 
 Radiance is in units of the capture's median from the first stage on.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Small pictures of what a run has found so far, shown in Blender while it goes on.
 
 They are kept with the checkpoints and become stale together with them.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Results of an estimation in open formats: fields, parts, fixtures, the environment and the statistics."""
 
 from __future__ import annotations

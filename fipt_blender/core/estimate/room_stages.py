@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The room of an estimation as a list of stages (:mod:`..run.chain`), and the chain of them on a run folder.
 
 A scan is cleaned, photographs and mesh are compared, and what the scan lacks is added; masks get ids that all

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Stage 2: the BRDF network and the emission mask (paper Sec. 4.5, Eq. 12, 14 to 20)."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Rooms with lights that their mesh lacks: for relighting, and for lamps that were inferred."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Shadings of all training views: baked view by view, denoised, stored as memory-mapped half floats.
 
 The input shared by all views (:class:`Baking`) and that of one view are arrays and numbers, so that any

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance cache L' of paper Eq. 9: all photographs averaged on a sparse voxel grid over the surfaces.
 
 A voxel has six entries, one for each dominant direction of the surface normal, so that the two sides of a

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance of lamps that are clipped in all photographs, from the light that they cast.
 
 At points of diffuse surfaces the radiance is kd (B + sum of r_f D_f): B is the irradiance from all that is

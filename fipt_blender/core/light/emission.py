@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The probability that a surface emits (after the paper's Sec. 4.4 "Emitter extraction"): two states.
 
 Let x be the logarithm of a pixel's radiance over the most that its surface reflects.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The units of the search for emitters: triangles of a modelled room, parts or patches of a scan.
 
 A triangle of a scan is smaller than a pixel, and the light that falls on it is known less well.

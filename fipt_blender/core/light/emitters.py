@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Emitters (paper Sec. 4.4 "Emitter extraction"), grouped into fixtures; :mod:`.evidence` finds them.
 
 An emitter is assumed to reflect nothing, so its radiance is the median of the pixels that see it (closed form

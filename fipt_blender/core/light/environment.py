@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Environment map from the pixels that miss the mesh.
 
 Paper Sec. 5.4, "Complex emitters": each pixel of the map is estimated like the emission of a triangle.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Errors of the light of lamps: on a scan, and of lamps that photographs hardly show.
 
 Positions on a scan are known to the width of an edge only. Close to a lamp, light falls off steeply, and a

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Observations of the photographs before any estimation: the surface points, voxels and parts of the pixels,
 and the environment.
 

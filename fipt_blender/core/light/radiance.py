@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Incident radiance along a ray while shadings are baked.
 
 Stage 1 reads the radiance cache at the first hit (paper Eq. 9). Stage 3 extends the path over specular

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures on a scan: which specks belong to a lamp beside them, and which sides of a lamp shine."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Baking of the diffuse and specular shadings (paper Sec. 4.1 to 4.3, Eq. 6 and 9 to 11).
 
 One kernel serves stage 1 and stage 3, which differ in the source of incident radiance (:mod:`.radiance`). All

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Cells that sources of unseen light consist of, and the rays that land on them (:mod:`.unseen_light`)."""
 
 from __future__ import annotations

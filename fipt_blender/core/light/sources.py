@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Radiance of light sources that no photograph shows, from the light that they cast on what photographs show.
 
 The radiance of a diffuse surface point is albedo (B + sum of e_k D_k): B is the irradiance over pi from all

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Light from what no photograph shows: through the openings of a mesh, and from its unseen surfaces.
 
 Rays from points of the surfaces land on surfaces that photographs show, on others, or on the hull of the

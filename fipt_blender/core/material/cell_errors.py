@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Standard errors of the final estimate in each seen cell, from the pixels of a run and the last shadings."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The closed-form estimate on all surfaces: one base colour for each cell, a cache entry and a group in it.
 
 It serves the search for emitters and stage 3 in all rounds. Once roughness and metallic of the groups are

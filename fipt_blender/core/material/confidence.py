@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Standard errors of the estimated base colour by least squares, given those of roughness and metallic.
 
 The factorised rendering (paper Eq. 5) is linearised around the estimate. The spread of its residuals between

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The estimated material fields of a run, which can be queried at any surface point, seen or unseen.
 
 results/fields.npz holds the BRDF network with the typical values of the units, the box to which positions are

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Groups that take the place of parts where no part masks exist: regions of one base colour.
 
 Cells of a surface (a connected piece of the mesh, or a segment of a scan) are joined by the posterior odds of

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the artist knows of surfaces, on the mesh: which triangles a hint is about, and what it allows there.
 
 Hints name positions (run/hints.py). A hint is about the part at its position or, where no parts are known,

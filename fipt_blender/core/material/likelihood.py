@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How well each roughness, as dielectric or metal, explains the pixels of each group: robust log-likelihoods.
 
 Base colours have a closed form for each candidate (projection.py). What then remains are errors of the

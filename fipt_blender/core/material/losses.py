@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The factorised rendering and all terms of the loss (paper Eq. 5, 8 and 15 to 20)."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Roughness and metallic of each group of pixels: a mixture over materials with a prior learnt from the room.
 
 A group stands for a part, or for the surfaces in its place where no parts are known (groups.py). Each has one

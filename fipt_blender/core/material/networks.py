@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The networks of stage 2 (paper Eq. 12 to 14, supplementary "Network architecture").
 
 MLP_brdf maps a position to base colour, roughness and metallic: a hash grid and two hidden layers of 64. Here

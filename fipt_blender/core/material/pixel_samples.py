@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Pixels with their shadings, read from the memory-mapped arrays of a run."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the closed forms share: the rendering is linear in base colour, which least squares determine."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Detail of the base colour of parts, shrunk at each scale by its reliability (split-half correlation).
 
 The views are divided into two halves. What both show at the same places is texture or an error of the light

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which surfaces the photographs saw, and the values of the others.
 
 An unseen point takes the median of its part, or the value of the nearest seen point if no pixel saw the part.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Stage 2: fitting the networks to the photographs with fixed shadings (paper Sec. 4.5).
 
 Every random choice depends only on (seed, step), so an interrupted training continues from its last

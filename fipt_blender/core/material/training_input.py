@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The input of stage 2: the pixels with their groups, and the materials of the groups."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's BRDF as Dr.Jit functions in the local shading frame (z is the normal).
 
 Paper Sec. 3, Eq. 1: f = kd/pi cos_i + F D G / (4 cos_o), the cosine included, with GGX D (alpha = sigma^2)

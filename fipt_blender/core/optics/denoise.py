@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Open Image Denoise, with guides: for baked shadings and for rendered images."""
 
 from __future__ import annotations

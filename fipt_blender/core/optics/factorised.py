@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The factorised rendering equation and its reflectances (paper Sec. 3 and Eq. 5), stated once.
 
     L_r = kd L_d + ks L_s0(sigma) + L_s1(sigma),    kd = a (1 - m),    ks = 0.04 (1 - m) + a m

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Area lights: emissive triangles, sampled in proportion to power and evaluated by triangle and side.
 
 Shared by the refinement of shadings (stage 3) and by forward rendering. The front of an emitter is the side

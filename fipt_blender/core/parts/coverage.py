@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which triangles of the room a view sees, from few rays: one through each pixel of a coarse image, and one
 to the centroid of each triangle, because small triangles fall between the pixels.
 """

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Parts: which triangles have the same material, for the regularisation of roughness and metallic.
 
 They come from the mesh's objects or material slots, or from id images, which are fused onto the triangles by

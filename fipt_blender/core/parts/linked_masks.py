@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Part masks whose ids are valid in one view only, from networks that segment one photograph at a time.
 
 Their regions are linked on the mesh, and written with ids that all views share.

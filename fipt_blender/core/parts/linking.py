@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Regions of single photographs, linked to parts of the room.
 
 Networks segment each photograph on its own, often differently from the next one. Two surface points belong to

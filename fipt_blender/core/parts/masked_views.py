@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Views with part masks, and the part that they show at points in front of a scan."""
 
 from __future__ import annotations

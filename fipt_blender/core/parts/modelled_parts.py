@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Parts of a modelled mesh from its slots or objects, and from masks.
 
 The mesh decides borders and names. Masks divide a slot further where the votes of all views agree: into whole

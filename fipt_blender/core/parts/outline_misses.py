@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Distances between the outlines of parts on a scan and the borders of the masks, view by view."""
 
 from __future__ import annotations

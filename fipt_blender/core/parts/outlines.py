@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Outlines of parts on a scan: its vertices move to where the masks of the photographs have their borders.
 
 A scan rounds edges off and ends between two voxels, so that silhouettes and borders of parts are ragged and

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Segments of a scan, which is one connected piece: its planes, and smooth pieces between creases.
 
 Where no masks exist they take the place of the connected pieces of a modelled room.

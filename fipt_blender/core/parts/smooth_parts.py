@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Parts on a scan, whose borders do not coincide with those of the masks: a random walk smooths the votes.
 
 The votes of the pixels walk from triangle to triangle, hardly over creases. Each triangle takes the label of

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Labels of triangles that no pixel saw: those of their neighbours."""
 
 from __future__ import annotations

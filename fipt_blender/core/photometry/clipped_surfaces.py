@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces that are clipped in photographs that are not HDR, and the light on all other surfaces, from which
 their radiance is inferred (:mod:`..light.clipped`)."""
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The codes of photographs that are not HDR, in the order of the pixels of all views, and samples of them."""
 
 from __future__ import annotations

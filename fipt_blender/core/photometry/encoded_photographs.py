@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Turns photographs that are not HDR into radiance: the radiometric adjustment on a capture's pixels.
 
 The views are compared on surface cells (`checks.consistency`). Codes become radiance with a weight.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Second adjustment of photographs that are not HDR, with the light of baked shadings.
 
 The light on surfaces determines the response's contrast and the radiance of clipped lamps

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Fragments: the surfaces that share a mixed pixel, with the share of the pixel that each covers.
 
 The shares are those of 16 primary rays, stratified in both directions at once and along each axis.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Numbers of groups, and sums and medians of their values, all groups at once."""
 
 from __future__ import annotations

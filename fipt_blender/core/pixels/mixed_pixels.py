@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Mixed pixels, which see more than one surface or part: finding them, and the pixels that replace them."""
 
 from __future__ import annotations

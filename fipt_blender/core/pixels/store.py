@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What each pixel of the training views sees, and all that is stored per pixel.
 
 Arrays are memory-mapped .npy files in the run's stage folder, so that a capture need not fit into RAM.

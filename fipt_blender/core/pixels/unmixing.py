@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The radiance of each surface in a mixed pixel: the photographed one is the sum of coverage times radiance.
 
 The expected radiance of a fragment is that of pure pixels of its surface nearby. Where there are none, it is

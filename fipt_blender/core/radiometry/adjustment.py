@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Radiometric adjustment: the shape of the response, the gains of all views and vignetting, from surface
 points that several views see.
 

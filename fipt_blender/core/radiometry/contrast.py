@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The response's contrast, which the agreement of the views leaves open: from EXIF's exposures, and from what
 is usual. Light on the surfaces is evidence of it, too (:mod:`..light.clipped`).
 """

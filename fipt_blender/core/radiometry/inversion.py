@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """From codes back to radiance, with the relative error that grows towards both ends of the scale."""
 
 from __future__ import annotations

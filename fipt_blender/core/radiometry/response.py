@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Response curves in a small basis: which radiance a camera's code stands for.
 
 A curve is the logarithm of the light of each code, 0 at the highest. Views that see the same surfaces

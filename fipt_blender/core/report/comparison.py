@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Comparison of a render with a photograph: tone mapping, PSNR and false colours.
 
 Numpy only: Blender's side, the report and the benchmarks import it.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Names of fixtures from what they belong to, where they are and what shape they have: "Ceiling panel".
 
 Objects in Blender and the report have these names, English like those of most captures. Needs numpy alone.

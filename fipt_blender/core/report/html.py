@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """HTML pages from templates that extend base.html of this folder, which holds their common style."""
 
 from __future__ import annotations

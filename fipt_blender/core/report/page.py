@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `report RUN`: one HTML page with its images beside it, readable offline.
 
 Any part of a run may be missing (a run without renders, or one that was stopped); the page shows what exists.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Writing pictures as PNG and JPEG files, and the files of what a result was judged by."""
 
 from __future__ import annotations

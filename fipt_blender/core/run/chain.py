@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A computation as a chain of stages, which is resumed after a kill or with other settings.
 
 A stage is a pure function, whose signature says what it takes. A parameter is the output of that name of the

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the JSON documents of a run folder hold, as `kinds` reads them. Standard library only.
 
 docs/architecture.md describes who writes and reads them. Names of files are relative to the run folder, or

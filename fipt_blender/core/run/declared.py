@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Options that are declared once: `name: Annotated[type, Option("Help text", low=1)] = default`, or the text.
 
 A frozen dataclass of such fields, or a function with such parameters, is all that the command line, the side

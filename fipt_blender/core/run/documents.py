@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Files that others have written: read within limits; JSON as one of the `kinds` before anyone uses it.
 
 A file may be cut off, edited by hand, written by another program or hostile. Every fault becomes one error

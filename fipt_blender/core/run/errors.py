@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What is wrong, and what to do about it: errors and warnings, by the keys of problems.toml.
 
 Standard library only: both processes import it.

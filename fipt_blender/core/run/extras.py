@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Packages that only some photographs or steps need; because of their size, set-up does not install them."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Which views an unfinished stage has finished, so that a resumed run works on the others only."""
 
 from __future__ import annotations

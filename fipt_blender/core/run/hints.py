@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What the artist knows of surfaces: hints.json and hints_again.json of a run folder, read and written.
 
 Hints are anchored by positions in the world, so that they survive another source of the parts. Standard

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """JSON values as frozen dataclasses, checked by their annotations while they are read. Standard library only.
 
 A kind is a type: ``str``, ``bool``, ``int``, ``float`` (whole numbers pass), ``Any``, a union such as

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The resolution at which light is solved, and what an estimation at it costs.
 
 Standard library only: both processes import it.

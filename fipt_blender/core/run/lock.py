@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A lock that allows one engine per run folder; the system releases it however the process ends.
 
 Standard library only: the engine holds the lock, and Blender asks which engine holds it. A second kind, held

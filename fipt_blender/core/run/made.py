@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Files that are made once: a run folder's made/NAME.json has the key of what they were made from.
 
 The stages of an estimation have keys of their own (:mod:`.chain`). Standard library only.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Messages from the engine to Blender: one JSON object per line on the engine's stdout.
 
 Standard library only: both processes import it. docs/run_folder.md lists the types and their fields.

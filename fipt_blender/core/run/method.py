@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """A digest of the engine's source code, so that a run resumed after an update never mixes two methods.
 
 Settings hold what a user varies; many more constants are defined beside the code that uses them. Therefore

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The parts of a finished estimate as both processes read them: results/parts.json with results/parts.npz.
 
 Needs numpy alone.

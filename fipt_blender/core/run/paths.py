@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Where a path may lead that stands in a file: the one rule for all readers of captures, meshes and runs.
 
 A path in a file that comes with a capture or a mesh leads only to files inside of that file's folder, or of

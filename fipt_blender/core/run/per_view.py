@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Work that is done for each view independently, by this process or by a cluster (`core/device/cluster.py`).
 
 Results depend only on the work and the view, not on which process does it, how often or in which order.

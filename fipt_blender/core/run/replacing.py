@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Folders of a run that are replaced when their new content is complete, never before.
 
 Standard library only.

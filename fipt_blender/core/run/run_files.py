@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Array files of the run folder that both processes read, and readers of those that belong together.
 
 Needs numpy alone. docs/run_folder.md describes the arrays.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The run folder: the paths of its files, and writing files completely or not at all.
 
 Standard library only: both processes import it. Blender imports it while starting, therefore json, settings

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The settings of a run, what users and ablations vary, and the presets.
 
 Further tuned constants are module constants beside the code that uses them; a change of those changes the

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """What each stage of an estimation can be told: one dataclass each, with all that the stage reads.
 
 A stage is done again when one of its own settings changes, and no other. Help texts compare the defaults with

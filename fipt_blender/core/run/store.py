@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Dataclasses of arrays, numbers and texts as files: array files of a run (.npz), and the outputs of stages.
 
 What is written is finite, but for NaN in fields that are `Gaps`. These are files of our own, complete or not

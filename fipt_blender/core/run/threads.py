@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Independent numpy work in a few threads of this process: numpy lets others run while it computes."""
 
 from __future__ import annotations

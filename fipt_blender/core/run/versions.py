@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The estimates of a capture: run folders beside each other. Standard library only."""
 
 from __future__ import annotations

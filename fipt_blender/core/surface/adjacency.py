@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Neighbours in triangle meshes: triangles that share an edge, vertices that an edge connects, and the
 triangles around each vertex.
 """

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The cleaned copy of a scan: the same triangles with noise taken out, planes made planar, smooth normals.
 
 A mesh that is not rough everywhere, as modelled ones never are, is left as it is.

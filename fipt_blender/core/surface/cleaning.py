@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The cleaned copy of a scan, and what closes its small holes.
 
 Surfaces that the artist has drawn are no scan: they do not count for whether the mesh is one, and stay as

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Small holes of a scan, closed.
 
 Every scan has pinholes where too few measurements met, mostly on surfaces seen from afar. A hole is found as

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Flat holes of a scan, and panes that close them.
 
 A scanner sees nothing of window panes, mirrors and other smooth dark surfaces: it leaves holes whose rims lie

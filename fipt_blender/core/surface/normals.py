@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Bilateral filtering of a mesh's normals, and vertices that follow them.
 
 The filter is that of Y. Zheng et al., "Bilateral Normal Filtering for Mesh Denoising" (2011), between

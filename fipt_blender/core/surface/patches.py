@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Patches: the triangles of a mesh in one cell of a grid that face the same way, with their best plane.
 
 The noise of a scan is correlated over several triangles. A patch is wider than that, so that its plane has a

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The planes of a scan: regions of triangles that are flat but for the scan's noise.
 
 Regions grow over patches, which average the noise, and are then extended triangle by triangle.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The room's mesh as arrays and as a Mitsuba scene for ray queries.
 
 Blender writes room.npz (docs/run_folder.md); mesh files are not read here. All surfaces are double-sided:

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The surface of a scanned room: its triangles, their centers and normals."""
 
 from __future__ import annotations

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Low-pass filtering along surfaces, within parts: a grid of cells in space, one a part (J. Chen et al. 2007,
 "Real-time edge-aware image processing with the bilateral grid").
 

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Engine command `textures`: sample the estimate at every texel of the atlas, and add photographs' detail.
 
 The estimate is queried at the surface point of each texel's centre; the texels between UV islands are padded.

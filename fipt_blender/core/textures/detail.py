@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Detail of the photographs on the texels: what they show above the resolution at which light was solved.
 
 Each view that has more pixels than its pixels of light gives a base colour of the texels that it sees

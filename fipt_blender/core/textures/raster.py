@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Rasterisation of triangles in the plane of an image, with barycentric coordinates.
 
 Numpy only: Blender's side uses it to judge UVs, the engine to bake. Texel (column i, row j) has its centre at

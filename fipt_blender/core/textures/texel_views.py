@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The base colour of texels from one photograph, by the factorised rendering (paper Eq. 5).
 
 A texel that a view sees has base colour (I - offset) / slope (`optics.factorised.color_line`): I is the

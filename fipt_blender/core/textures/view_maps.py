@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Maps of the estimate in the pixels of some views: base colour, roughness, metallic, emission, confidence.
 
 They are written to results/maps, for the report and for users who want images instead of textures.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """How Cycles' Principled BSDF differs from the paper's BRDF, and a correction for every viewing angle.
 
 Under uniform white light, seen at cosine n.v, with base colour a, roughness sigma and metallic m, the albedo

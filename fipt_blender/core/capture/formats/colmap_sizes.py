@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Binary COLMAP files compared with their own counts before COLMAP reads them.
 
 COLMAP's reader trusts the counts in a file. With a file that was cut off it allocates memory without end,

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers of data sets: the FIPT authors' synthetic and real captures, and the DSLR photographs of ScanNet++.
 
 The synthetic ones and ScanNet++ are files transforms.json with axes of their own.

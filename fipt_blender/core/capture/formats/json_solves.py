@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers of solves in JSON files: Meshroom, OpenSfM (also OpenDroneMap) and OpenMVG (also Regard3D).
 
 Sources: AliceVision's sfmDataIO; the documentation of OpenSfM, "Dataset Structure" and "Geometric Models",

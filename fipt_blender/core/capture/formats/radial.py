@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Radial distortion that none of COLMAP's camera models has, as COLMAP's model with a rational function.
 
 Programs differ in their radial polynomials: a fourth coefficient, or a polynomial that undoes the distortion.

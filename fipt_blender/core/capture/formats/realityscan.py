@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reader for RealityScan (RealityCapture): XMP files beside the photographs, or a CSV of camera parameters.
 
 Source: Epic's "XMP Camera Math" and the help page "Internal/External camera parameters". The principal point

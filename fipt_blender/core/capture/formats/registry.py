@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """The registry of capture formats.
 
 Each is a module, a `Program`, or an app of `scans`, with NAME and LOOKS_FOR; `find(path)`, what a capture is

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Camera files of other programs: how they are recognized, and read within limits.
 
 Formats whose cameras are in one file of a program that solves them are a `Program`.

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers for scans: photographs and depth images with one pose for both, of apps and of data sets.
 
 Each is a `ScanApp`: how its folder is found, and what it says of its frames. Sources: Polycam's polyform;

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers of solves in text files: Bundler's bundle.out, which many programs export, and VisualSFM's .nvm.
 
 Sources: Bundler's user manual; VisualSFM's documentation, "NVM File Format" and "Camera Model". Neither has

@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Reader for transforms.json as nerfstudio, instant-ngp and NeRF's synthetic scenes write it."""
 
 from __future__ import annotations

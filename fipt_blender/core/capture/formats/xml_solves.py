@@ -1,5 +1,3 @@
-# SPDX-FileCopyrightText: 2026 fipt_blender authors
-# SPDX-License-Identifier: GPL-3.0-or-later
 """Readers of solves in XML files: Metashape's, and BlocksExchange of ContextCapture and iTwin Capture.
 
 Sources: Metashape's user manual, appendix "Camera models"; Bentley's ContextCapture User Guide,
