@@ -47,9 +47,8 @@ CLEAR = 0.75
 LEAST_SPREAD = 0.1  # standard deviation of log radiance in the shared points, below which pairs say nothing
 LEAST_SHARED = 30  # points that a pair of photographs must share
 DISAGREE = 0.5  # median correlation of twice as many pairs, below which poses or mesh are wrong for sure
-NORMALIZED = (
-    1e-3  # share of 1 by which the largest distance from the cameras' middle, in the origin, may be off
-)
+# Share of 1 by which the largest distance from the cameras' middle, in the origin, may be off.
+NORMALIZED = 1e-3
 SAME = 0.99  # share of the mesh that lies where another correction puts it, if they do the same
 LEAST_PAIRS = 4  # that say something of a placement
 # Median correlation of the pairs: below the first, something is wrong; below the second, if other signs say
@@ -249,7 +248,7 @@ class Scene:
         odd = self.solved is None and (fit.path < SMALL_PATH or fit.inside < INSIDE)
         if self.is_elsewhere(fit) or odd or fit.watched < WATCHED:
             return True
-        return self.is_telling and fit.pairs > 0 and not fit.agrees
+        return self.is_telling and fit.pairs > 0 and (fit.pairs < LEAST_PAIRS or fit.agreement < DISAGREE)
 
     def explains(self, fit: Fit, given: Fit) -> bool:
         """Whether mesh and points fit, which do not as they are given."""

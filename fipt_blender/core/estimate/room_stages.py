@@ -150,7 +150,7 @@ def scan_so_far(
     return scan_arrays(mesh, closing, panes, cleaned)
 
 
-def room_so_far(mesh: RoomMesh, cameras: np.ndarray, scan: ScanArrays | None) -> Room:
+def room_so_far(mesh: RoomMesh, scan: ScanArrays | None, cameras: np.ndarray | None = None) -> Room:
     """The room of a mesh and of what was made of it; `cameras`: (C, 3) positions, metres."""
     return make_room(mesh if scan is None else scan.whole(mesh), cameras)
 
