@@ -50,7 +50,7 @@ KNOWN_POINTS = 4  # one of so many pixels is added of surfaces of known albedo, 
 LAMP_SAMPLES = SampleCounts(16, 0, 64)  # of the light of presumed lamps at each
 # Relative error of the inferred part of the light beside its covariance: root mean square of five rooms.
 MODEL_ERROR = 0.3
-GAIN = 3.0  # least gain of points held back, in standard errors
+GAIN = 3.0  # least gain of points held back, and share of the light, in their standard errors
 # Rays to unseen places closer than a source is wide, and pixels that send them.
 CLOSE_RAYS, MAX_CLOSE = 64, 20_000
 # A source is a lamp or a window if it is brighter by this factor than the room's median light and what is
@@ -258,7 +258,7 @@ def find_sources(
     base_color: np.ndarray | None = None,
 ) -> Sources | None:
     """The sources with their radiance; None where the photographs show all that lights the room, as far as
-    points that are held back tell. Arguments as of :func:`with_unseen_light`."""
+    points that are held back, and standard errors, tell. Arguments as of :func:`with_unseen_light`."""
     pixels = observed.pixels
     if base_color is None:
         base_color = np.full((len(room.triangles), 3), np.nan)
@@ -287,6 +287,8 @@ def find_sources(
     if held_back_gain(points, expected, block, np.random.default_rng([seed, 24])) < GAIN:
         return None
     light, width = solve_sources(points, expected), np.full(len(chosen), FINER)
+    if light.shares(points).sum(axis=1).mean() < GAIN * light.error(points).mean():
+        return None
     while (finer := landed.divided(cells, points, expected, light, width)) is not None:
         landed, expected, width = finer
         points = landed.transport(logs, group, albedo)
