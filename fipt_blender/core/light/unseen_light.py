@@ -100,7 +100,7 @@ class Sources:
         expected, light: what was expected of the sources, and what was found.
         entries: (E,) int64 cache entries of unseen surfaces, of_entry: (E,) their source.
         cells: F that the sources consist of. of_cell: (F,) source of each, -1 without.
-        reflected: (K, 3) radiance that the cache or the map has of each, as of surfaces around it.
+        reflected: (K, 3) radiance that the cache has of each, as of surfaces around it; 0 on the hull.
         place, toward: (K, 3) mean place, metres, and mean unit direction of the rays that land there.
         width: (K,) metres. side: (K,) to which each shines, as of cache entries.
         looks: (S, 3) cameras and (S, 3) what pixels of theirs see: there is nothing between them.
@@ -309,7 +309,7 @@ def find_sources(
         of_entry=of_entry[entries],
         cells=cells,
         of_cell=landed.source,
-        reflected=np.exp(means[:, :3]),
+        reflected=np.where(expected.outside[:, None], 0.0, np.exp(means[:, :3])),
         place=means[:, 3:6],
         toward=means[:, 6:] / np.maximum(np.linalg.norm(means[:, 6:], axis=1, keepdims=True), 1e-9),
         width=width * cells.size / FINER,
