@@ -36,7 +36,8 @@ def render_views(
 ) -> list[Path]:
     """Open a result's .blend and render views as they are, or lit by a single new light.
 
-    Meant for a process of its own, since it replaces the open file.
+    Meant for a process of its own, since it replaces the open file. Beside each image as it is a PNG has what
+    Blender displays once one looks through the view.
 
     Args:
         run: the run folder.
@@ -49,6 +50,8 @@ def render_views(
     import bpy
 
     from fipt_blender.blend.capture.cameras import find_camera
+    from fipt_blender.blend.capture.look import look_through
+    from fipt_blender.blend.image_datablocks import load_radiance
     from fipt_blender.blend.lights.area_lights import add_area_light
     from fipt_blender.blend.lights.light_state import switch_all
     from fipt_blender.blend.pictures.cycles import render_exr
@@ -64,14 +67,20 @@ def render_views(
         path = render_path(run, kind, view)
         render_exr(scene, path, options, find_camera(view, scene), columns)
         list_render(run, kind, view, path)
+        if relight is None:
+            look_through(scene, scene.fipt.capture.views[view], bpy.context)
+            scene.render.image_settings.file_format = "PNG"
+            load_radiance(path, encoded=False).save_render(str(path.with_suffix(".png")), scene=scene)
     return [render_path(run, kind, view) for view in views]
 
 
 def main() -> None:
     """Render the views named on stdin into the run's accuracy folder."""
     run, spp = apart(RunFolder(sys.argv[1])), int(sys.argv[2])
+    import fipt_blender
     from fipt_blender.blend.pictures.cycles import RenderOptions  # bpy
 
+    fipt_blender.register()  # the exposures of views are its properties
     wanted = json.load(sys.stdin)
     blend = run.root / "room.blend"
     render_views(run, blend, wanted["rerender"], RenderOptions(spp))
