@@ -56,7 +56,7 @@ def against_photographs(run: RunFolder) -> dict[str, float]:
 
     Those of the judge, with one factor of exposure, and those that Blender displays.
     """
-    from fipt_blender.core.capture.encoded import srgb_encoded
+    from fipt_blender.core.capture.encoded import srgb_decoded
     from fipt_blender.core.capture.images import read_radiance
     from fipt_blender.core.capture.views import load_capture
     from fipt_blender.core.checks.quality import GAMMA, Display, judged_photograph, judged_views
@@ -88,8 +88,9 @@ def against_photographs(run: RunFolder) -> dict[str, float]:
         errors["cycles_on_mesh_db"].append(squared[hit])
         with Image.open(path.with_suffix(".png")) as picture:
             displayed = np.asarray(picture.convert("RGB")) / 255.0
-        seen = photograph if view.encoded else srgb_encoded(photograph ** (1.0 / GAMMA))
-        errors["displayed_db"].append(((displayed - seen) ** 2)[used])
+        if not view.encoded:  # in the judge's display values
+            displayed = srgb_decoded(displayed) ** GAMMA
+        errors["displayed_db"].append(((displayed - photograph) ** 2)[used])
         hits, pixels = hits + int(hit.sum()), pixels + int(used.sum())
     figures = {
         name: float(-10.0 * np.log10(max(float(np.concatenate(each).mean()), 1e-10)))

@@ -7,7 +7,7 @@ absolute.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from .contents import Problem
@@ -145,6 +145,7 @@ class QualityNote:
     projection_on_mesh_db: float | None = None
     on_mesh_share: Share = 0.0
     views: tuple[JudgedPictures, ...] = ()
+    exposures: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
