@@ -10,6 +10,7 @@ import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -215,11 +216,14 @@ def _shot(run: RunFolder, render: Render, pictures: _Pictures) -> Shot:
 def _judged_views(
     run: RunFolder, quality: QualityNote | None, pictures: _Pictures
 ) -> list[tuple[str, dict[str, str]]]:
-    """Name and pictures, by their kind, of the photographs by which the result was judged."""
+    """Name and pictures, by their titles, of the photographs that judged the result, the worst first."""
     rows = []
-    for view in quality.views if quality else ():
-        paths = {kind: run.quality / getattr(view, kind) for kind in KINDS}
-        shown = {kind: pictures.add(kind, path) for kind, path in paths.items() if path.is_file()}
+    for view in quality.worst_first() if quality else ():
+        values = (f", {value:.1f} dB" for value in view.decibels())
+        shown = {}
+        for kind, value in zip_longest(KINDS, ("", *values), fillvalue=""):
+            if (path := run.quality / getattr(view, kind)).is_file():
+                shown[f"{kind.capitalize()}{value}"] = pictures.add(kind, path)
         rows.append((view.name, shown))
     return rows
 

@@ -6,6 +6,7 @@ absolute.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
@@ -133,6 +134,11 @@ class JudgedPictures:
     photograph: FileName
     render: FileName
     projection: FileName
+    errors: tuple[Vector, ...] = ()  # mean squared, of render and projection, in each channel
+
+    def decibels(self) -> tuple[float, ...]:
+        """PSNR of render and projection."""
+        return tuple(-10.0 * math.log10(max(sum(error) / 3.0, 1e-10)) for error in self.errors)
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,10 @@ class QualityNote:
     on_mesh_share: Share = 0.0
     views: tuple[JudgedPictures, ...] = ()
     exposures: Mapping[str, float] = field(default_factory=dict)
+
+    def worst_first(self) -> list[JudgedPictures]:
+        """What was judged, by the render's error."""
+        return sorted(self.views, key=JudgedPictures.decibels)
 
 
 @dataclass(frozen=True)
