@@ -125,7 +125,7 @@ def test_looking_through_a_view_shows_the_room_as_bright_as_its_photograph(scene
         view = scene.fipt.capture.views.add()
         view.name = view.camera = name
     run, median = RunFolder(scene.fipt.run_folder), scene.view_settings.exposure
-    photometry = {"views": {"a": {"exposure_ev": exposures["a"]}}}
+    photometry = {"views": {"a": {"shown_ev": exposures["a"]}}}
     write_json(run.statistics_json, {"radiance_scale": 0.36, "photometry": photometry})
     held_back = {"held_back_db": 20.0, "projection_db": 22.0, "exposures": {"b": exposures["b"]}}
     write_json(run.quality_json, held_back)  # the estimation has not seen it

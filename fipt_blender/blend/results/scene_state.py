@@ -69,7 +69,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
 def photograph_exposures(run: RunFolder) -> dict[str, float]:
     """Of photographs that are not HDR: their exposures after that of the median one, stops, by view."""
     views = (run.statistics().get("photometry") or {}).get("views", {})
-    found = {name: float(view.get("exposure_ev", 0.0)) for name, view in views.items()}
+    found = {name: float(view.get("shown_ev", 0.0)) for name, view in views.items()}
     held_back = optional_document(run.quality_json, QualityNote)
     return found if held_back is None else {**found, **held_back.exposures}
 

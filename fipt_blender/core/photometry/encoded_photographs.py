@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.encoded import srgb_decoded
 from ..checks.consistency import ConsistencyTable
 from ..light.clipped import Expectation, LampLight, LitPoints, solve_lamps
 from ..light.observations import median_footprint
 from ..pixels.store import LEFT_OUT, VIEW_LUMINANCES, PixelStore
-from ..radiometry.adjustment import adjust
+from ..radiometry.adjustment import adjust, usable
 from ..radiometry.contrast import Source, combined, exif_contrast, usual_contrast
 from ..radiometry.inversion import (
     MUCH_CLIPPED,
@@ -39,6 +40,7 @@ LIGHT_DEVIATION = 0.06
 MIN_POINTS = 200
 MAX_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
 UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall determine it
+MIDDLE = 0.18  # value of the median radiance of a photograph that tells nothing
 # Share of the light from directions that no photograph shows from which on it makes the contrast uncertain.
 OPEN = 0.05
 
@@ -152,7 +154,21 @@ def write_radiance(room: Room, part: np.ndarray, scale: float, found: Found) -> 
     facts = found.radiometry.facts(names, share)
     light = found.clipped.light
     facts["lamps"] = [] if light is None else _lamp_facts(light)
+    shown = np.array([_shown(pixels, found.codes, index) for index in encoded])
+    median = float(np.median(shown))
+    facts["median_shown"] = 2.0**median
+    for name, value in zip(names, shown, strict=True):
+        facts["views"][name]["shown_ev"] = round(float(value) - median, 4)
     return Photometry(unit * middle, weight, facts, found)
+
+
+def _shown(pixels: PixelStore, codes: Codes, index: int) -> float:
+    """Stops after which sRGB's curve, and not the camera's, shows radiance as bright as a photograph does."""
+    code, radiance = codes.of_view(index), np.asarray(pixels.radiance[pixels.rows(index)], np.float64)
+    good = (usable(code) & (radiance > 0.0)).all(axis=1)
+    if not good.any():
+        return float(np.log2(MIDDLE))
+    return float(np.median(np.log2(srgb_decoded(code[good] / 255.0) / radiance[good]).mean(axis=1)))
 
 
 def _invert(scale: float, found: Found) -> tuple[np.ndarray, np.ndarray]:
