@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from fipt_blender.core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
+    import bpy
+
     from fipt_blender.blend.pictures.cycles import RenderOptions
 
 
@@ -50,8 +52,6 @@ def render_views(
     import bpy
 
     from fipt_blender.blend.capture.cameras import find_camera
-    from fipt_blender.blend.capture.look import look_through
-    from fipt_blender.blend.image_datablocks import load_radiance
     from fipt_blender.blend.lights.area_lights import add_area_light
     from fipt_blender.blend.lights.light_state import switch_all
     from fipt_blender.blend.pictures.cycles import render_exr
@@ -68,10 +68,20 @@ def render_views(
         render_exr(scene, path, options, find_camera(view, scene), columns)
         list_render(run, kind, view, path)
         if relight is None:
-            look_through(scene, scene.fipt.capture.views[view], bpy.context)
-            scene.render.image_settings.file_format = "PNG"
-            load_radiance(path, encoded=False).save_render(str(path.with_suffix(".png")), scene=scene)
+            write_displayed(scene, view, path)
     return [render_path(run, kind, view) for view in views]
+
+
+def write_displayed(scene: bpy.types.Scene, view: str, path: Path) -> None:
+    """Write the PNG of a view's EXR as *Look Through* displays it."""
+    import bpy
+
+    from fipt_blender.blend.capture.look import look_through
+    from fipt_blender.blend.image_datablocks import load_radiance
+
+    look_through(scene, scene.fipt.capture.views[view], bpy.context)
+    scene.render.image_settings.file_format = "PNG"
+    load_radiance(path, encoded=False).save_render(str(path.with_suffix(".png")), scene=scene)
 
 
 def main() -> None:
