@@ -172,7 +172,6 @@ def look(run: RunFolder) -> RunState:
     results = run.statistics_json.exists() and versions.has_results(run)
     stages = optional_document(run.stages_json, Stages)
     quality = optional_document(run.quality_json, QualityNote)
-    judged = () if quality is None else quality.worst_first()[:1]
     return RunState(
         stages=0 if stages is None else len(stages.stages),
         results=results,
@@ -182,9 +181,7 @@ def look(run: RunFolder) -> RunState:
         error=error,
         pictures=pictures,
         quality=quality,
-        worst=tuple(
-            run.quality / each for it in judged for each in (it.photograph, it.render, it.projection)
-        ),
+        worst=() if quality is None else tuple(run.quality / name for name in quality.worst()),
         missing=tuple(missing_pictures()),
     )
 

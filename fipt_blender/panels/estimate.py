@@ -147,17 +147,14 @@ def _draw_state(layout: UILayout, context: Context, state: runstate.RunState) ->
 
 def _draw_quality(layout: UILayout, state: runstate.RunState) -> None:
     """How well the results show photographs that were held back, where these see the mesh."""
-    quality = state.quality
-    if quality is None:
+    if (quality := state.quality) is None:
         return
-    value, missed = quality.on_mesh_db, 100.0 * (1.0 - quality.on_mesh_share)
+    value, missed = quality.on_mesh_db or quality.held_back_db, 100.0 * (1.0 - quality.on_mesh_share)
     text = iface_("Differs from unseen photographs by {:.1f}% of white ({:.1f} dB)")
-    if value is None:
-        value, missed = quality.held_back_db, 0.0
     if missed >= 1.0:
         text += iface_(" on the mesh, which misses {:.0f}% of them")
-    text = text.format(100.0 * 10.0 ** (-value / 20.0), value, missed)
-    draw_text(layout, text, icon="IMAGE_REFERENCE")
+    percent = 100.0 * 10.0 ** (-value / 20.0)
+    draw_text(layout, text.format(percent, value, missed), icon="IMAGE_REFERENCE")
     if any(map(estimate_pictures.icon, state.worst)):
         header, body = layout.panel("fipt_worst_view", default_closed=True)
         header.label(text="Worst View")

@@ -18,7 +18,6 @@ from ..capture.encoded import srgb_decoded, srgb_encoded
 from ..capture.views import View
 from ..pixels.store import NO_TRIANGLE, PixelStore, trace_view
 from ..radiometry.adjustment import falloff_terms
-from ..surface.room import Room
 from .projection import projected
 from .rerender import Estimate, Renderer
 
@@ -164,15 +163,15 @@ def judge(
     every, hit = np.concatenate(errors, axis=1), np.concatenate(on_mesh)
     rendered, plain = map(_psnr, every)
     of_render, of_plain = (_psnr(error) if hit.any() else None for error in every[:, hit])
-    exposures = _exposures(pixels, held_back, estimate.room, photometry, scale)
+    exposures = _exposures(pixels, held_back, estimate, photometry, scale)
     return Quality(rendered, plain, of_render, of_plain, float(hit.mean()), tuple(views), exposures)
 
 
 def _exposures(
-    pixels: PixelStore, held_back: Sequence[View], room: Room, photometry: Mapping[str, Any], scale: float
+    pixels: PixelStore, held_back: Sequence[View], estimate: Estimate, facts: Mapping[str, Any], scale: float
 ) -> dict[str, float]:
     """Exposures by what the training photographs, projected, show of the same surfaces."""
-    found, middle = {}, photometry.get("median_shown")
+    found, middle, room = {}, facts.get("median_shown"), estimate.room
     # Whatever the camera's curve is, Blender displays by sRGB's.
     display = Display(np.log(np.maximum(srgb_decoded(np.linspace(0.0, 1.0, 256)), FLOOR)))
     for full in held_back:

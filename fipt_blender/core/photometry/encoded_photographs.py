@@ -40,7 +40,6 @@ LIGHT_DEVIATION = 0.06
 MIN_POINTS = 200
 MAX_DEVIATIONS = 4.0  # by which the contrast by light may differ from that of the other sources
 UNKNOWN_CONTRAST = 1.0  # standard deviation of its logarithm where light alone shall determine it
-MIDDLE = 0.18  # value of the median radiance of a photograph that tells nothing
 # Share of the light from directions that no photograph shows from which on it makes the contrast uncertain.
 OPEN = 0.05
 
@@ -166,9 +165,8 @@ def _shown(pixels: PixelStore, codes: Codes, index: int) -> float:
     """Stops after which sRGB's curve, and not the camera's, shows radiance as bright as a photograph does."""
     code, radiance = codes.of_view(index), np.asarray(pixels.radiance[pixels.rows(index)], np.float64)
     good = (usable(code) & (radiance > 0.0)).all(axis=1)
-    if not good.any():
-        return float(np.log2(MIDDLE))
-    return float(np.median(np.log2(srgb_decoded(code[good] / 255.0) / radiance[good]).mean(axis=1)))
+    stops = np.log2(srgb_decoded(code[good] / 255.0) / radiance[good]).mean(axis=1)
+    return float(np.median(stops)) if len(stops) else -2.5  # middle grey
 
 
 def _invert(scale: float, found: Found) -> tuple[np.ndarray, np.ndarray]:

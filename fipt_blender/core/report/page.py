@@ -10,7 +10,6 @@ import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -219,9 +218,8 @@ def _judged_views(
     """Name and pictures, by their titles, of the photographs that judged the result, the worst first."""
     rows = []
     for view in quality.worst_first() if quality else ():
-        values = (f", {value:.1f} dB" for value in view.decibels())
-        shown = {}
-        for kind, value in zip_longest(KINDS, ("", *values), fillvalue=""):
+        shown, values = {}, (f", {value:.1f} dB" for value in view.decibels())
+        for kind, value in zip(KINDS, ("", *values), strict=True):
             if (path := run.quality / getattr(view, kind)).is_file():
                 shown[f"{kind.capitalize()}{value}"] = pictures.add(kind, path)
         rows.append((view.name, shown))

@@ -134,7 +134,7 @@ class JudgedPictures:
     photograph: FileName
     render: FileName
     projection: FileName
-    errors: tuple[Vector, ...] = ()  # mean squared, of render and projection, in each channel
+    errors: tuple[Vector, Vector]  # mean squared, of render and projection, in each channel
 
     def decibels(self) -> tuple[float, ...]:
         """PSNR of render and projection."""
@@ -149,13 +149,17 @@ class QualityNote:
     projection_db: float
     on_mesh_db: float | None = None
     projection_on_mesh_db: float | None = None
-    on_mesh_share: Share = 0.0
+    on_mesh_share: Share = 1.0
     views: tuple[JudgedPictures, ...] = ()
     exposures: Mapping[str, float] = field(default_factory=dict)
 
     def worst_first(self) -> list[JudgedPictures]:
         """What was judged, by the render's error."""
         return sorted(self.views, key=JudgedPictures.decibels)
+
+    def worst(self) -> list[FileName]:
+        """The pictures of what was rendered worst."""
+        return [each for it in self.worst_first()[:1] for each in (it.photograph, it.render, it.projection)]
 
 
 @dataclass(frozen=True)
