@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from fipt_blender.core.run.runfolder import RunFolder
 
 if TYPE_CHECKING:
+    import bpy
+
     from fipt_blender.blend.pictures.cycles import RenderOptions
 
 
@@ -36,7 +38,8 @@ def render_views(
 ) -> list[Path]:
     """Open a result's .blend and render views as they are, or lit by a single new light.
 
-    Meant for a process of its own, since it replaces the open file.
+    Meant for a process of its own, since it replaces the open file. Beside each image as it is a PNG has what
+    Blender displays once one looks through the view.
 
     Args:
         run: the run folder.
@@ -64,14 +67,30 @@ def render_views(
         path = render_path(run, kind, view)
         render_exr(scene, path, options, find_camera(view, scene), columns)
         list_render(run, kind, view, path)
+        if relight is None:
+            write_displayed(scene, view, path)
     return [render_path(run, kind, view) for view in views]
+
+
+def write_displayed(scene: bpy.types.Scene, view: str, path: Path) -> None:
+    """Write the PNG of a view's EXR as *Look Through* displays it."""
+    import bpy
+
+    from fipt_blender.blend.capture.look import look_through
+    from fipt_blender.blend.image_datablocks import load_radiance
+
+    look_through(scene, scene.fipt.capture.views[view], bpy.context)
+    scene.render.image_settings.file_format = "PNG"
+    load_radiance(path, encoded=False).save_render(str(path.with_suffix(".png")), scene=scene)
 
 
 def main() -> None:
     """Render the views named on stdin into the run's accuracy folder."""
     run, spp = apart(RunFolder(sys.argv[1])), int(sys.argv[2])
+    import fipt_blender
     from fipt_blender.blend.pictures.cycles import RenderOptions  # bpy
 
+    fipt_blender.register()  # the exposures of views are its properties
     wanted = json.load(sys.stdin)
     blend = run.root / "room.blend"
     render_views(run, blend, wanted["rerender"], RenderOptions(spp))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -51,10 +52,14 @@ def score(folder: Path, truth: Path | None) -> dict[str, float]:
 
 
 def against_photographs(run: RunFolder) -> dict[str, float]:
-    """PSNR of held-back photographs against Cycles renders of the .blend, in the judge's display values."""
+    """PSNR of held-back photographs against Cycles renders of the .blend, in display values.
+
+    Those of the judge, with one factor of exposure, and those that Blender displays.
+    """
+    from fipt_blender.core.capture.encoded import srgb_decoded
     from fipt_blender.core.capture.images import read_radiance
     from fipt_blender.core.capture.views import load_capture
-    from fipt_blender.core.checks.quality import Display, judged_photograph, judged_views
+    from fipt_blender.core.checks.quality import GAMMA, Display, judged_photograph, judged_views
     from fipt_blender.core.pixels.store import trace_view
     from fipt_blender.core.run.documents import read_document
     from fipt_blender.core.surface.room import load_room
@@ -70,16 +75,22 @@ def against_photographs(run: RunFolder) -> dict[str, float]:
         return {}
     widths = {view.name: sized.width for view, (sized, _, _) in zip(chosen, judged, strict=True)}
     images = accuracy.cycles_renders(run, {"rerender": widths, "relight": None}, SPP)
-    errors: dict[str, list[np.ndarray]] = {"cycles_db": [], "cycles_on_mesh_db": []}
+    errors: dict[str, list[np.ndarray]] = {"cycles_db": [], "cycles_on_mesh_db": [], "displayed_db": []}
     hits, pixels = 0, 0
     for full, (view, photograph, used) in zip(chosen, judged, strict=True):
-        image = read_radiance(images["rerender", full.name]) / scale
+        path = images["rerender", full.name]
+        image = read_radiance(path) / scale
         display = Display.of(view, facts)
         shown = display.shown(image, view, display.factor(photograph, image, view))
         squared = (shown - photograph) ** 2
         hit = (np.asarray(trace_view(room, view).triangle) >= 0).reshape(used.shape) & used
         errors["cycles_db"].append(squared[used])
         errors["cycles_on_mesh_db"].append(squared[hit])
+        with Image.open(path.with_suffix(".png")) as picture:
+            displayed = np.asarray(picture.convert("RGB")) / 255.0
+        if not view.encoded:  # in the judge's display values
+            displayed = srgb_decoded(displayed) ** GAMMA
+        errors["displayed_db"].append(((displayed - photograph) ** 2)[used])
         hits, pixels = hits + int(hit.sum()), pixels + int(used.sum())
     figures = {
         name: float(-10.0 * np.log10(max(float(np.concatenate(each).mean()), 1e-10)))

@@ -8,6 +8,7 @@ measured; those that are worse by more than another seed makes them are red.
 
 in Cycles     PSNR in dB of held-back photographs, in their own display values after one factor of exposure,
               against Cycles renders of the .blend; "on the mesh": over pixels whose ray hits it ("hit")
+displayed     the same with what Blender displays after *Look Through*, without a factor
 judged        the same, as the product judges itself; "projection": the training photographs on the mesh
 gap           by which Cycles is below the projection, on the mesh
 kd to relit   as of `dev.py accuracy`, by the paper's protocol
@@ -50,6 +51,7 @@ FIGURES: dict[str, tuple[str, str, int]] = {
     "relight_psnr": ("relit", ".1f", 1),
     "cycles_db": ("in Cycles", ".1f", 1),
     "cycles_on_mesh_db": ("on the mesh", ".1f", 1),
+    "displayed_db": ("displayed", ".1f", 1),
     "judged_db": ("judged", ".1f", 0),
     "projection_db": ("projection", ".1f", 0),
     "gap_db": ("gap", ".1f", -1),

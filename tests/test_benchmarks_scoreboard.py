@@ -3,9 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import bpy
+import numpy as np
 import pytest
+from PIL import Image
 
-from benchmarks import results, scoreboard
+from benchmarks import cycles_views, results, scoreboard
+from fipt_blender.blend.marks import VIEW
+from fipt_blender.core.capture.encoded import srgb_encoded
+from fipt_blender.core.capture.images import write_exr
+from samples.applied_rooms import make_applied_scene
 
 ROOM, OFFICE = scoreboard.ROWS["room"].label, scoreboard.ROWS["office"].label
 
@@ -55,3 +62,18 @@ def test_rows_are_stored_for_clean_trees_only(tmp_path: Path, monkeypatch: pytes
 def test_a_row_that_is_unknown_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert scoreboard.main(["no-such-room"]) == 2
     assert "no-such-room" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("registered")
+def test_what_is_displayed_has_the_exposure_of_the_view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = make_applied_scene(tmp_path / "run", monkeypatch)
+    camera = bpy.data.objects.new("a", bpy.data.cameras.new("a"))
+    scene.collection.objects.link(camera)
+    camera[VIEW] = "a"
+    view = scene.fipt.capture.views.add()
+    view.name, view.camera, view.exposure = "a", "a", -1.5
+    white = 2.0**-scene.view_settings.exposure
+    write_exr(tmp_path / "a.exr", np.full((2, 2, 3), 0.5 * white, np.float32))
+    cycles_views.write_displayed(scene, "a", tmp_path / "a.exr")
+    shown = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")) / 255.0
+    assert shown == pytest.approx(srgb_encoded(np.full((2, 2, 3), 0.5 * 2.0**-1.5)), abs=0.01)

@@ -125,8 +125,10 @@ def test_looking_through_a_view_shows_the_room_as_bright_as_its_photograph(scene
         view = scene.fipt.capture.views.add()
         view.name = view.camera = name
     run, median = RunFolder(scene.fipt.run_folder), scene.view_settings.exposure
-    photometry = {"views": {name: {"exposure_ev": stops} for name, stops in exposures.items()}}
+    photometry = {"views": {"a": {"shown_ev": exposures["a"]}}}
     write_json(run.statistics_json, {"radiance_scale": 0.36, "photometry": photometry})
+    held_back = {"held_back_db": 20.0, "projection_db": 22.0, "exposures": {"b": exposures["b"]}}
+    write_json(run.quality_json, held_back)  # the estimation has not seen it
 
     def shown(name: str) -> float:
         ops.look_through(view=name)

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fipt_blender.core.capture.encoded import srgb_decoded, srgb_encoded
 from fipt_blender.core.capture.images import write_exr
 from fipt_blender.core.capture.views import View
 from fipt_blender.core.checks.projection import projected
 from fipt_blender.core.checks.quality import judge
 from fipt_blender.core.checks.rerender import Estimate, Renderer
 from fipt_blender.core.pixels.store import LEFT_OUT, PixelStore, create_pixels, fill_pixels, trace_view
+from fipt_blender.core.report.pictures import write_png
 from samples.small_captures import COLORS, PANEL_RADIANCE, PANEL_TRIANGLES, SmallCapture, panel_capture, pinhole
 from samples.small_rooms import table
 
@@ -63,6 +65,19 @@ def test_a_true_estimate_renders_the_photograph(capture: SmallCapture, tmp_path:
     assert worse is not None and worse.held_back_db < quality.held_back_db - 8.0
     assert worse.projection_db == quality.projection_db
     assert judge(pixels, [], wrong, {}, scale, 0) is None  # no view is held back
+
+
+def test_a_photograph_that_was_held_back_has_its_own_exposure(capture: SmallCapture, tmp_path: Path) -> None:
+    pixels, view, scale = stored(capture, tmp_path)
+    middle, stops = 0.2, -1.5
+    light = middle * 2.0**stops * capture.images[HELD_BACK] / scale
+    write_png(tmp_path / "phone.png", srgb_encoded(np.clip(light, 0.0, 1.0)))
+    phone = replace(view, image=tmp_path / "phone.png", encoded=True)
+    steep = 1.6 * np.log(srgb_decoded(np.linspace(0.01, 1.0, 256)))  # of the camera, which Blender does not have
+    photometry = {"log_curve": steep, "falloff": np.zeros(2), "median_shown": middle}
+    found = judge(pixels, [phone, view], true_estimate(capture, scale), photometry, scale, 0)
+    assert found is not None and found.exposures == {"1": pytest.approx(stops, abs=0.1)}
+    assert found.document()["exposures"] == {"1": pytest.approx(found.exposures["1"], abs=1e-4)}
 
 
 def test_the_projection_is_what_others_show(capture: SmallCapture, tmp_path: Path) -> None:

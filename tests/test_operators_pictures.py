@@ -175,7 +175,7 @@ def test_a_plate_that_is_not_hdr_is_brought_to_the_unit_of_the_room(run, suffix)
     else:
         write_codes(path, png16.encode_srgb(bright))
     without_radiance(run, suffix)
-    exposure = {"median_shown": 0.2, "views": {VIEW: {"exposure_ev": 1.0}}}
+    exposure = {"median_shown": 0.2, "views": {VIEW: {"shown_ev": 1.0}}}
     write_json(run.statistics_json, {"radiance_scale": 0.2, "photometry": exposure})
     layers = into_photograph(run, 4)
     dark = (photo.max(axis=-1) < 0.4) & (photo.min(axis=-1) > 0.01)  # where codes of 8 bits are fine enough

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +16,7 @@ from fipt_blender.core.run.runfolder import RunFolder, write_json
 from fipt_blender.jobs import running, runstate
 from fipt_blender.operators import estimate as operators
 from fipt_blender.panels import capture, estimate, progress
-from samples.layouts import drawn_by
+from samples.layouts import Layout, drawn_by
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -103,6 +104,30 @@ def test_a_result_says_how_good_it_is(monkeypatch, tmp_path):
     drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
     wanted = "Differs from unseen photographs by 4.4% of white (27.1 dB)"
     assert wanted in " ".join(drawn)  # in lines of the panel's width
+    assert "misses" not in " ".join(drawn)
+
+
+def test_a_result_is_shown_where_it_is_worst(monkeypatch, tmp_path):
+    good, bad = (
+        {"name": name, "errors": [[error] * 3, [0.001] * 3]}
+        | {kind: f"{name}-{kind}.png" for kind in ("photograph", "render", "projection")}
+        for name, error in (("000", 0.002), ("001", 0.01))
+    )
+    figures = {"held_back_db": 12.0, "projection_db": 29.4, "on_mesh_db": 20.0, "on_mesh_share": 0.93}
+    write_json(tmp_path / "results" / "quality.json", {**figures, "views": [good, bad]})
+    found = runstate.look(RunFolder(tmp_path))
+    assert [path.name for path in found.worst] == ["001-photograph.png", "001-render.png", "001-projection.png"]
+    state = replace(found, results=True, finished=True)
+    bpy.context.scene.fipt.run_folder = str(tmp_path)
+    monkeypatch.setattr(runstate, "known", lambda folder: state)
+    monkeypatch.setattr(estimate.estimate_pictures, "icon", lambda path: 1)
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
+    line = "Differs from unseen photographs by 10.0% of white (20.0 dB) on the mesh, which misses 7% of them"
+    assert line in " ".join(drawn)
+    assert "Worst View" in drawn and "Photograph" not in drawn
+    monkeypatch.setattr(Layout, "panel", lambda layout, *name, **options: (layout, layout), raising=False)  # opened
+    drawn = drawn_by(estimate.FIPT_PT_estimate)[0]
+    assert drawn[drawn.index("Worst View") + 1 :][:3] == ["Photograph", "Render", "Projection"]
 
 
 def test_estimate_says_for_what_it_waits_and_how_to_stop_that(monkeypatch, tmp_path):

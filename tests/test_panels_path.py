@@ -12,6 +12,7 @@ from fipt_blender import machine
 from fipt_blender.blend import marks
 from fipt_blender.bridge.job import Job
 from fipt_blender.core.run.errors import FiptError
+from fipt_blender.core.run.result_contents import QualityNote
 from fipt_blender.jobs import running, runstate, session
 from fipt_blender.panels import engine, estimate, manual, start
 from samples.layouts import drawn_by, tab_count
@@ -73,7 +74,7 @@ def test_each_stage_shows_what_can_be_used_then():
 def test_after_results_the_tab_shows_a_dozen_buttons(applied, monkeypatch):
     """Also with guide, photographs, and a lamp in doubt that was answered."""
     monkeypatch.setattr(manual, "SITE", "https://docs.example/")
-    state = runstate.RunState(stages=5, results=True, finished=True, quality=27.1)
+    state = runstate.RunState(stages=5, results=True, finished=True, quality=QualityNote(27.1, 29.4))
     monkeypatch.setattr(runstate, "known", lambda folder: state)
     applied.fipt.photographs.path = "/card"
     applied.fipt.capture.views.add().name = "a view"

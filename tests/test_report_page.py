@@ -78,13 +78,17 @@ def test_the_page_is_whole_and_all_its_images_exist(run):
 
 def test_what_the_result_was_judged_by_is_shown_side_by_side(run):
     pictures = np.random.default_rng(1).random((3, SIZE[1], SIZE[0], 3)).astype(np.float32)
-    judged = JudgedView(NASTY, pictures, np.full((2, 3), 0.01))
+    better = JudgedView("better", pictures, np.full((2, 3), 0.001))
+    judged = JudgedView(NASTY, pictures, np.array([[0.01] * 3, [0.003] * 3]))
     before = len(Page(write_report(run)).values("src"))
-    write_quality(run, Quality(27.14, 29.4, 28.3, 31.6, 0.85, (judged,)))
+    write_quality(run, Quality(27.14, 29.4, 28.3, 31.6, 0.85, (better, judged)))
     page = Page(write_report(run))
     assert "27.1 dB" in page.text and "29.4" in page.text
     assert "85 %" in page.text and "28.3 dB" in page.text and "31.6" in page.text
-    assert len(page.values("src")) == before + 3
+    assert (
+        page.text.index("Render, 20.0 dB") < page.text.index("Projection, 25.2 dB") < page.text.index("Render, 30.0 dB")
+    )
+    assert len(page.values("src")) == before + 6
     for address in page.values("src"):
         assert (run.report / address).is_file()
 

@@ -21,7 +21,7 @@ from .window import redraw
 
 if TYPE_CHECKING:
     from ..bridge.process import Message
-    from ..core.run.result_contents import Stages
+    from ..core.run.result_contents import QualityNote, Stages
     from ..core.run.versions import Version
 
 _FRESH_SECONDS = 2.0
@@ -40,8 +40,9 @@ class RunState:
         versions: the estimates of the same capture, the newest first.
         warnings, error: warnings of the last run, and the error that ended it.
         pictures: the newest preview images.
-        quality: dB with which photographs that were held back are re-rendered from the results; None where
-            these were not judged.
+        quality: how well photographs that were held back are re-rendered from the results; None where these
+            were not judged.
+        worst: pictures of the one that is re-rendered worst.
         missing: names of files that pictures of applied results in the open file name and that are not there.
     """
 
@@ -52,7 +53,8 @@ class RunState:
     warnings: tuple[Message, ...] = ()
     error: Message | None = None
     pictures: tuple[Path, ...] = ()
-    quality: float | None = None
+    quality: QualityNote | None = None
+    worst: tuple[Path, ...] = ()
     missing: tuple[str, ...] = ()
 
 
@@ -178,7 +180,8 @@ def look(run: RunFolder) -> RunState:
         warnings=tuple(warnings),
         error=error,
         pictures=pictures,
-        quality=None if quality is None else quality.held_back_db,
+        quality=quality,
+        worst=() if quality is None else tuple(run.quality / name for name in quality.worst()),
         missing=tuple(missing_pictures()),
     )
 

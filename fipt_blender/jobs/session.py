@@ -109,5 +109,5 @@ def after_job(info: Job) -> None:
 def _show_state(state: runstate.RunState) -> None:
     """Show what changed in a run folder."""
     if running.current() is None:
-        previews.estimate_pictures.load(state.pictures)
+        previews.estimate_pictures.load((*state.pictures, *state.worst))
     redraw()

@@ -146,12 +146,20 @@ def _draw_state(layout: UILayout, context: Context, state: runstate.RunState) ->
 
 
 def _draw_quality(layout: UILayout, state: runstate.RunState) -> None:
-    """How well the results show photographs that were held back."""
-    if state.quality is None:
+    """How well the results show photographs that were held back, where these see the mesh."""
+    if (quality := state.quality) is None:
         return
-    percent = 100.0 * 10.0 ** (-state.quality / 20.0)
+    value, missed = quality.on_mesh_db or quality.held_back_db, 100.0 * (1.0 - quality.on_mesh_share)
     text = iface_("Differs from unseen photographs by {:.1f}% of white ({:.1f} dB)")
-    draw_text(layout, text.format(percent, state.quality), icon="IMAGE_REFERENCE")
+    if missed >= 1.0:
+        text += iface_(" on the mesh, which misses {:.0f}% of them")
+    percent = 100.0 * 10.0 ** (-value / 20.0)
+    draw_text(layout, text.format(percent, value, missed), icon="IMAGE_REFERENCE")
+    if any(map(estimate_pictures.icon, state.worst)):
+        header, body = layout.panel("fipt_worst_view", default_closed=True)
+        header.label(text="Worst View")
+        if body is not None:
+            _draw_pictures(body, state.worst)
 
 
 def _draw_waiting(layout: UILayout, job: Job) -> None:
@@ -164,15 +172,15 @@ def _draw_waiting(layout: UILayout, job: Job) -> None:
 
 
 def _draw_pictures(layout: UILayout, paths: tuple[Path, ...]) -> None:
-    """The current estimate of base colour and emission."""
+    """A row of pictures, named by the ends of their files' names."""
     shown = [picture for picture in paths if estimate_pictures.icon(picture)]
     if not shown:
         return
     row = layout.row()
     for picture in shown:
         column = row.column(align=True)
-        column.template_icon(icon_value=estimate_pictures.icon(picture), scale=7.0)
-        column.label(text="Emission" if "emission" in picture.name else "Base Color")
+        column.template_icon(icon_value=estimate_pictures.icon(picture), scale=14.0 / len(shown))
+        column.label(text=picture.stem.rpartition("-")[2].replace("_", " ").title())
 
 
 _NAMES = {identifier: name for identifier, name, _, _ in PART_SOURCES}

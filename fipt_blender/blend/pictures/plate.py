@@ -32,7 +32,7 @@ from ..marks import (
     result_world,
 )
 from ..render_settings import can_denoise
-from ..results.scene_state import median_radiance, median_shown
+from ..results.scene_state import median_radiance, median_shown, photograph_exposures
 from .renders import plate_size
 
 SCENE = "FIPT Composite"
@@ -101,8 +101,7 @@ def plate_gain(run: RunFolder, view: CapturedView) -> float:
 
     By what the estimation has found of the photographs' exposures, in stops from the median photograph's.
     """
-    photometry = run.statistics().get("photometry") or {}
-    stops = photometry.get("views", {}).get(view.name, {}).get("exposure_ev", 0.0)
+    stops = photograph_exposures(run).get(view.name, 0.0)
     return (median_radiance(run) or median_shown(run)) / median_shown(run) * 2.0**-stops
 
 

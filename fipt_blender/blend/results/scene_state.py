@@ -7,9 +7,9 @@ import math
 
 import bpy
 
-from ...core.run.documents import read_document
+from ...core.run.documents import optional_document, read_document
 from ...core.run.errors import FiptError
-from ...core.run.result_contents import AtlasImages
+from ...core.run.result_contents import AtlasImages, QualityNote
 from ...core.run.runfolder import RunFolder
 from ...core.run.versions import results_id
 from ..capture.backdrop import set_backdrop
@@ -37,7 +37,7 @@ def finish(scene: bpy.types.Scene, run: RunFolder) -> None:
     if settings.set_rendering and "view_settings.exposure" in set_up(scene, photographs_exposure(scene)):
         scene.fipt.capture.shown_exposure = 0.0
     looked_through = scene.camera.get(VIEW, "") if scene.camera else ""
-    follow_exposure(scene, _exposures(run).get(looked_through, 0.0))
+    follow_exposure(scene, photograph_exposures(run).get(looked_through, 0.0))
     if settings.mute_lights and is_first:  # lights that the artist adds later are to be seen
         mute_other_lights(scene, True)
     if scene.fipt.insert.backdrop == "PHOTOGRAPH":  # the new fixtures are part of it
@@ -58,7 +58,7 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     settings.shown = "ESTIMATED"  # its update function shows them
     scene.fipt.lights.median_radiance = median_radiance(run)
     scene.fipt.lights.median_shown = median_shown(run)
-    exposures = _exposures(run)
+    exposures = photograph_exposures(run)
     for view in scene.fipt.capture.views:
         view.exposure = exposures.get(view.name, 0.0)
     add_inferred(scene, run)
@@ -66,10 +66,12 @@ def note_results(scene: bpy.types.Scene, run: RunFolder) -> None:
     light_state.list_lights(scene)
 
 
-def _exposures(run: RunFolder) -> dict[str, float]:
+def photograph_exposures(run: RunFolder) -> dict[str, float]:
     """Of photographs that are not HDR: their exposures after that of the median one, stops, by view."""
     views = (run.statistics().get("photometry") or {}).get("views", {})
-    return {name: float(view.get("exposure_ev", 0.0)) for name, view in views.items()}
+    found = {name: float(view.get("shown_ev", 0.0)) for name, view in views.items()}
+    held_back = optional_document(run.quality_json, QualityNote)
+    return found if held_back is None else {**found, **held_back.exposures}
 
 
 def median_radiance(run: RunFolder) -> float:

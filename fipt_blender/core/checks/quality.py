@@ -8,13 +8,13 @@ one factor of exposure.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from ..capture.averaging import majority, means
-from ..capture.encoded import srgb_encoded
+from ..capture.encoded import srgb_decoded, srgb_encoded
 from ..capture.views import View
 from ..pixels.store import NO_TRIANGLE, PixelStore, trace_view
 from ..radiometry.adjustment import falloff_terms
@@ -27,6 +27,7 @@ MIDDLE = 0.18  # display exposure: radiance of the capture's median
 # Display values within which a pixel counts for the factor of exposure.
 USABLE = (0.05, 0.95)
 FLOOR = 1e-4  # radiance in units of the capture's median
+EXPOSURE_PIXELS = 4096  # of a photograph, that tell its exposure
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,8 @@ class Quality:
     projection_on_mesh_db: float | None
     on_mesh_share: float  # 0..1, how many these are
     views: tuple[JudgedView, ...]  # what was judged
+    # of photographs that were held back and are not HDR, stops after the median one's, by view
+    exposures: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def deviation(self) -> float:
@@ -59,13 +62,14 @@ class Quality:
 
     def document(self) -> dict[str, Any]:
         """For quality.json."""
-        figures = {name: value for name, value in vars(self).items() if name != "views"}
+        figures = {name: value for name, value in vars(self).items() if name not in ("views", "exposures")}
         return {
             **{name: None if value is None else round(value, 3) for name, value in figures.items()},
             "views": [
                 {"name": view.name, "errors": [[round(float(x), 7) for x in row] for row in view.errors]}
                 for view in self.views
             ],
+            "exposures": {name: round(value, 4) for name, value in self.exposures.items()},
         }
 
 
@@ -159,7 +163,24 @@ def judge(
     every, hit = np.concatenate(errors, axis=1), np.concatenate(on_mesh)
     rendered, plain = map(_psnr, every)
     of_render, of_plain = (_psnr(error) if hit.any() else None for error in every[:, hit])
-    return Quality(rendered, plain, of_render, of_plain, float(hit.mean()), tuple(views))
+    exposures = _exposures(pixels, held_back, estimate, photometry, scale)
+    return Quality(rendered, plain, of_render, of_plain, float(hit.mean()), tuple(views), exposures)
+
+
+def _exposures(
+    pixels: PixelStore, held_back: Sequence[View], estimate: Estimate, facts: Mapping[str, Any], scale: float
+) -> dict[str, float]:
+    """Exposures by what the training photographs, projected, show of the same surfaces."""
+    found, middle, room = {}, facts.get("median_shown"), estimate.room
+    # Whatever the camera's curve is, Blender displays by sRGB's.
+    display = Display(np.log(np.maximum(srgb_decoded(np.linspace(0.0, 1.0, 256)), FLOOR)))
+    for full in held_back:
+        if full.encoded and middle:
+            view, photograph, used = judged_photograph(full, EXPOSURE_PIXELS, scale)
+            image = projected(pixels, room.place, view, trace_view(room, view))
+            factor = display.factor(photograph * used[..., None], image, view)
+            found[full.name] = float(np.log2(factor / middle))
+    return found
 
 
 def _psnr(squared: np.ndarray) -> float:

@@ -82,7 +82,6 @@ def find_photometry(
     """Turn photographs that are not HDR, and decoded by sRGB's curve, into radiance."""
     pixels = pixels.with_copies(tools.folder, "radiance")
     found = adjust_photographs(pixels, room, surface_labels(room, parts), scale, settings, tools.folder)
-    found = replace(found, facts={**found.facts, "median_shown": scale})
     return AdjustedPhotographs(pixels, found, found.scale)
 
 
@@ -175,9 +174,7 @@ def refit_photometry(
             observations = with_unseen_light(observations, room, labels, outside, settings)
         baking = first_baking(room, parts, observations, lamps, settings)
         found = replace(found, found=found.found.of_pixels(pixels))
-        again = refit_photographs(found, pixels, room, labels, partial(baked_light, baking, pixels))
-        facts = {**again.facts, "median_shown": found.facts["median_shown"]}
-        found = replace(again, facts=facts)
+        found = refit_photographs(found, pixels, room, labels, partial(baked_light, baking, pixels))
         progress = tools.progress_within(0.5, 1.0)
         _unmix(pixels, room, labels, found, settings, progress, tools)
     warn_of_photographs(found.facts, tools.reporter)

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from ..capture.encoded import srgb_decoded
 from ..checks.consistency import ConsistencyTable
 from ..light.clipped import Expectation, LampLight, LitPoints, solve_lamps
 from ..light.observations import median_footprint
 from ..pixels.store import LEFT_OUT, VIEW_LUMINANCES, PixelStore
-from ..radiometry.adjustment import adjust
+from ..radiometry.adjustment import adjust, usable
 from ..radiometry.contrast import Source, combined, exif_contrast, usual_contrast
 from ..radiometry.inversion import (
     MUCH_CLIPPED,
@@ -152,7 +153,20 @@ def write_radiance(room: Room, part: np.ndarray, scale: float, found: Found) -> 
     facts = found.radiometry.facts(names, share)
     light = found.clipped.light
     facts["lamps"] = [] if light is None else _lamp_facts(light)
+    shown = np.array([_shown(pixels, found.codes, index) for index in encoded])
+    median = float(np.median(shown))
+    facts["median_shown"] = 2.0**median
+    for name, value in zip(names, shown, strict=True):
+        facts["views"][name]["shown_ev"] = round(float(value) - median, 4)
     return Photometry(unit * middle, weight, facts, found)
+
+
+def _shown(pixels: PixelStore, codes: Codes, index: int) -> float:
+    """Stops after which sRGB's curve, and not the camera's, shows radiance as bright as a photograph does."""
+    code, radiance = codes.of_view(index), np.asarray(pixels.radiance[pixels.rows(index)], np.float64)
+    good = (usable(code) & (radiance > 0.0)).all(axis=1)
+    stops = np.log2(srgb_decoded(code[good] / 255.0) / radiance[good]).mean(axis=1)
+    return float(np.median(stops)) if len(stops) else -2.5  # middle grey
 
 
 def _invert(scale: float, found: Found) -> tuple[np.ndarray, np.ndarray]:

@@ -215,11 +215,13 @@ def _shot(run: RunFolder, render: Render, pictures: _Pictures) -> Shot:
 def _judged_views(
     run: RunFolder, quality: QualityNote | None, pictures: _Pictures
 ) -> list[tuple[str, dict[str, str]]]:
-    """Name and pictures, by their kind, of the photographs by which the result was judged."""
+    """Name and pictures, by their titles, of the photographs that judged the result, the worst first."""
     rows = []
-    for view in quality.views if quality else ():
-        paths = {kind: run.quality / getattr(view, kind) for kind in KINDS}
-        shown = {kind: pictures.add(kind, path) for kind, path in paths.items() if path.is_file()}
+    for view in quality.worst_first() if quality else ():
+        shown, values = {}, (f", {value:.1f} dB" for value in view.decibels())
+        for kind, value in zip(KINDS, ("", *values), strict=True):
+            if (path := run.quality / getattr(view, kind)).is_file():
+                shown[f"{kind.capitalize()}{value}"] = pictures.add(kind, path)
         rows.append((view.name, shown))
     return rows
 

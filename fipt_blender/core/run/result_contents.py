@@ -6,8 +6,9 @@ absolute.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from .contents import Problem
@@ -133,6 +134,11 @@ class JudgedPictures:
     photograph: FileName
     render: FileName
     projection: FileName
+    errors: tuple[Vector, Vector]  # mean squared, of render and projection, in each channel
+
+    def decibels(self) -> tuple[float, ...]:
+        """PSNR of render and projection."""
+        return tuple(-10.0 * math.log10(max(sum(error) / 3.0, 1e-10)) for error in self.errors)
 
 
 @dataclass(frozen=True)
@@ -143,8 +149,17 @@ class QualityNote:
     projection_db: float
     on_mesh_db: float | None = None
     projection_on_mesh_db: float | None = None
-    on_mesh_share: Share = 0.0
+    on_mesh_share: Share = 1.0
     views: tuple[JudgedPictures, ...] = ()
+    exposures: Mapping[str, float] = field(default_factory=dict)
+
+    def worst_first(self) -> list[JudgedPictures]:
+        """What was judged, by the render's error."""
+        return sorted(self.views, key=JudgedPictures.decibels)
+
+    def worst(self) -> list[FileName]:
+        """The pictures of what was rendered worst."""
+        return [each for it in self.worst_first()[:1] for each in (it.photograph, it.render, it.projection)]
 
 
 @dataclass(frozen=True)
