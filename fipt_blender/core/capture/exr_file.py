@@ -66,6 +66,7 @@ class ExrFile:
                 reason = f"{width} x {height} pixels, of which {stored[0]} x {stored[1]} are stored"
                 raise unreadable(path, reason)
         self.size = sizes[0][0]
+        self.tag = str(self._headers[0].get("colorInteropID", ""))  # its color space, "" without
 
     @property
     def note(self) -> str:
@@ -81,12 +82,13 @@ class ExrFile:
                 return _primaries(self.path, self._headers[found.part])[0] is None
         return False
 
-    def picture(self, layer: str = "") -> tuple[np.ndarray, np.ndarray | None]:
+    def picture(self, layer: str = "", as_stored: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
         """Linear Rec.709 of the picture, (height, width, 3) float32 on the display window, and its alpha
         (height, width), None without: 0 also where the file holds no pixels.
 
         Args:
             layer: name of the part or layer; "" for the one that is named like a picture.
+            as_stored: values of the file's own primaries instead.
         """
         found = chosen_layer(self.path, self._layers(), layer)
         file = self._open()
@@ -98,7 +100,7 @@ class ExrFile:
             green = (planes[0] - weights[0] * red - weights[2] * blue) / weights[1]
             planes = [red, green.astype(np.float32), blue]
         pixels = np.stack(planes * (3 // len(planes)), axis=-1)
-        if matrix is not None and len(planes) == 3:
+        if matrix is not None and len(planes) == 3 and not as_stored:
             pixels = pixels @ matrix.T.astype(np.float32)
         return pixels, alpha
 

@@ -58,7 +58,8 @@ class Photograph:
     @cached_property
     def picture(self) -> Picture:
         """The file by its header."""
-        return open_picture(self.views[0].image, self.views[0].layer)
+        first = self.views[0]
+        return open_picture(first.image, first.layer, first.colorspace)
 
     @cached_property
     def distorted(self) -> tuple[bool, ...]:

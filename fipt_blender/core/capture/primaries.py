@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import difflib
 import io
+import math
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 from PIL import ImageCms
 
+from ..run.errors import FiptError
 from .encoded import srgb_decoded
 
 # x, y of red, green, blue and white.
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
-ADOBE_RGB = np.array([0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290])
-# By their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
-CICP_PRIMARIES = {
-    1: REC709,
-    9: np.array([0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.3290]),
-    12: np.array([0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.3290]),
-}
+# Color spaces of OpenColorIO by their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
+_CICP = {1: "lin_rec709", 9: "lin_rec2020", 12: "lin_p3d65"}
+_OCIO = "ocio://studio-config-latest"  # the configuration with cameras' spaces, which is within OpenColorIO
+# Of its spaces: those of displays, not of a scene; no space; ACEScc, which no file has; film densities. The
+# last two are no curve with a matrix.
+_NO_SCENE = re.compile(r".* - Display|Raw|ACEScc|ADX\d+")
 CIE_XYZ = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0])
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves differently
@@ -31,10 +36,53 @@ _ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves d
 class Colors:
     """How stored values become linear Rec.709."""
 
-    # Linear values (n, 3) of codes (n,), both from 0 to 1; None for sRGB's curve
+    # Linear values (n, 3) of codes (n,) from 0 to 1; None for sRGB's curve, of radiance for none
     curve: Callable[[np.ndarray], np.ndarray] | None = None
     # (3, 3) from the linear values to Rec.709; None where they are Rec.709 already
     matrix: np.ndarray | None = None
+    is_log: bool = False  # whether the highest code is far brighter than white, so that codes are radiance
+
+    @property
+    def is_none(self) -> bool:
+        """Whether stored values are what programs take them for."""
+        return self.curve is None and self.matrix is None
+
+
+@lru_cache
+def spaces() -> dict[str, str]:
+    """Color spaces of OpenColorIO by their names and aliases in small letters."""
+    config = oiio.ColorConfig(_OCIO)
+    names = [name for name in config.getColorSpaceNames() if not _NO_SCENE.fullmatch(name)]
+    return {alias.lower(): name for name in names for alias in (name, *config.getAliases(name))}
+
+
+@lru_cache
+def space_colors(name: str, stored: str = "uint8") -> Colors:
+    """Colors of values of a type by one of `spaces`."""
+    known = spaces()
+    if name.lower() not in known:
+        near = {space for alias, space in known.items() if name.lower() in alias}
+        listed = sorted(near) or difflib.get_close_matches(name, set(known.values()), 5, 0.0)
+        raise FiptError("colorspace-unknown", name=name, near=", ".join(listed))
+
+    def converted(values: np.ndarray) -> np.ndarray:
+        """Linear Rec.709 of (n, 3)."""
+        rows = math.gcd(len(values), 256)  # of pixels, since OpenImageIO has a thread for some rows each
+        source = oiio.ImageBuf(values.astype(np.float32).reshape(rows, -1, 3))
+        linear = oiio.ImageBufAlgo.colorconvert(
+            source, known[name.lower()], "lin_rec709", False, colorconfig=_OCIO
+        )
+        return np.asarray(linear.get_pixels(oiio.FLOAT)).reshape(-1, 3).astype(np.float64)
+
+    def curve(values: np.ndarray) -> np.ndarray:
+        return converted(np.repeat(values[:, None], 3, axis=1))
+
+    codes = np.linspace(0.0, 1.0, 257)
+    grey = curve(codes)[:, 0]
+    # The matrix, times what the curve makes of 0 and 0.5.
+    matrix = converted(0.5 * np.eye(3)).T @ np.linalg.inv(grey[0] + (grey[128] - grey[0]) * np.eye(3))
+    usual = np.abs(grey - (codes if stored == "float32" else srgb_decoded(codes))).max() < 1e-5
+    return Colors(None if usual else curve, _unless_rec709(matrix), bool(grey[-1] > 1.01))
 
 
 def xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
@@ -84,16 +132,10 @@ def cicp_colors(primaries: int, transfer: int) -> Colors:
     """
     if transfer in (16, 18):
         raise ValueError("it is encoded as HDR video, PQ or HLG; export it without HDR, or as OpenEXR")
-    if primaries not in CICP_PRIMARIES or transfer not in (1, 6, 8, 13, 14, 15):
+    if primaries not in _CICP or transfer not in (1, 6, 8, 13, 14, 15):
         raise ValueError(f"its colors are those of H.273's {primaries} and {transfer}; convert it to sRGB")
-    curve = {8: power(1.0), 13: None}.get(transfer, _video)
-    return Colors(curve, to_rec709(CICP_PRIMARIES[primaries]))
-
-
-def _video(values: np.ndarray) -> np.ndarray:
-    """The inverse of BT.709's curve, for `Colors`."""
-    linear = np.where(values < 0.081, values / 4.5, ((values + 0.099) / 1.099) ** (1.0 / 0.45))
-    return np.repeat(linear[:, None], 3, axis=1)
+    curve = {8: power(1.0), 13: None}.get(transfer, space_colors("camera_rec709").curve)
+    return Colors(curve, space_colors(_CICP[primaries]).matrix)
 
 
 def icc_colors(data: bytes) -> Colors:
