@@ -428,15 +428,11 @@ def test_named_color_spaces(tmp_path):
     colors = np.random.default_rng(0).uniform(0.05, 0.9, (50, 1, 3)).astype(np.float32)
     path = tmp_path / "a.exr"
     write_exr(path, colors)
-    config = oiio.ColorConfig("ocio://studio-config-latest")
-    for name in config.getColorSpaceNames():
-        if " - Display" in name or name in ("ADX10", "ADX16", "Raw", "ACEScc"):
-            assert error_of(space_colors, name).code == "colorspace-unknown"
-            continue
-        wanted = oiio.ImageBuf()
-        oiio.ImageBufAlgo.colorconvert(
-            wanted, oiio.ImageBuf(colors), name, "lin_rec709", colorconfig="ocio://studio-config-latest"
-        )
+    for name in ("sRGB - Display", "ACEScc", "ADX10", "Raw"):  # of no scene, or no curve with a matrix
+        assert error_of(space_colors, name).code == "colorspace-unknown"
+    config = "ocio://studio-config-latest"
+    for name in ("ACES2065-1", "BMDFilm WideGamut Gen5", "CanonLog3 CinemaGamut D55", "Gamma 1.8 Encoded Rec.709"):
+        wanted = oiio.ImageBufAlgo.colorconvert(oiio.ImageBuf(colors), name, "lin_rec709", colorconfig=config)
         wanted = np.asarray(wanted.get_pixels(oiio.FLOAT))
         np.testing.assert_allclose(open_picture(path, space=name).shown()[0], wanted, atol=1e-4 * np.abs(wanted).max())
 

@@ -23,8 +23,8 @@ from .distortion import lens_pinhole
 from .encoded import srgb_encoded
 from .files import stand_in
 from .images import open_picture, read_size
-from .photograph import Photograph
 from .options import CaptureOptions
+from .photograph import Photograph
 from .rig import DepthView, Pinhole, RigView
 
 # Beyond this, depth cameras of phones and consoles measure little but noise.
@@ -192,8 +192,7 @@ def fuse(
     check_unit(some)
     _check_other_units(views[:: max(1, len(views) // 8)], scale)
     voxel = options.voxel or max(FINEST, SPACINGS * pixel_spacing(some))
-    photographs = [Photograph((view.photograph,)) for view in views if view.photograph is not None]
-    with_color = any(photograph.picture.is_encoded for photograph in photographs)
+    with_color = any(view.photograph and Photograph((view.photograph,)).picture.is_encoded for view in views)
     volume, gaps = BlockVolume(voxel, with_color), BlockVolume(voxel, with_color)
     for index, view in enumerate(views):
         gaps.integrate(gap_image(read_depth(view, scale)))

@@ -124,8 +124,7 @@ class Picture:
             decoded, alpha = self.decode()
         except DAMAGE as error:
             raise unreadable(self.path, error) from None
-        pixels = np.asarray(decoded)
-        pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+        pixels = np.atleast_3d(np.asarray(decoded))
         return pixels[..., : 3 if pixels.shape[-1] > 2 else 1], alpha
 
     def data(self) -> np.ndarray:
@@ -246,10 +245,8 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
     picture = open_picture(path)
     codes = _three(picture.stored()[0])
     if picture.colors.curve is not None and not as_stored:
-        codes = _mapped(
-            np.round(65535.0 * srgb_encoded(_curve_table(picture.colors, codes.dtype))).astype(np.uint16),
-            codes,
-        )
+        table = srgb_encoded(_curve_table(picture.colors, codes.dtype))
+        codes = _mapped(np.round(65535.0 * table).astype(np.uint16), codes)
     return codes, picture.colors.matrix
 
 
@@ -329,10 +326,10 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
 
 
 def _open_exr(path: Path, kind: str, layer: str, space: str) -> Picture:
-    file = ExrFile(path)
-    space = space or (file.tag if file.tag.lower() in primaries.spaces() else "")
-    colors = primaries.space_colors(space, "float32") if space else Colors()
-    decode, plain = partial(file.picture, layer, bool(space)), file.is_plain(layer) and colors.is_none
+    file = ExrFile(path, space)
+    colors = primaries.space_colors(file.space, "float32") if file.space else Colors()
+    decode, plain = partial(file.picture, layer), file.is_plain(layer)
+    plain = plain and colors.curve is None and colors.matrix is None
     return Picture(path, kind, file.size, "float32", colors, plain, decode, numbers=file.values)
 
 
@@ -340,22 +337,20 @@ def _open_heif(path: Path, kind: str, _: str, space: str) -> Picture:
     open_file = partial(optional(kind, "A photograph in HEIC").open_heif, path, convert_hdr_to_8bit=False)
     file = open_file()
     icc, nclx = file.info.get("icc_profile"), file.info.get("nclx_profile")
-    colors = Colors()
-    if space:
-        colors = primaries.space_colors(space)
-    elif icc:
+    colors = primaries.space_colors(space) if space else Colors()
+    if icc and not space:
         colors = primaries.icc_colors(icc)
-    elif nclx:
+    elif nclx and not space:
         if nclx["transfer_characteristics"] in (16, 18):
             primaries.cicp_colors(1, nclx["transfer_characteristics"])
-        corners = [f"color_primary_{name}" for name in ("red", "green", "blue", "white")]
-        values = [nclx[f"{corner}_{axis}"] for corner in corners for axis in "xy"]
+        corners = ("red", "green", "blue", "white")
+        values = [nclx[f"color_primary_{corner}_{axis}"] for corner in corners for axis in "xy"]
         colors = Colors(None, primaries.to_rec709(np.array(values)))
-    values_type = "uint16" if file.mode.endswith("16") else "uint8"
+    values_type = "float32" if colors.is_log else "uint16" if file.mode.endswith("16") else "uint8"
     exif = file.info.get("exif") or b""
-    size = tuple(file.size)
-    values_type = "float32" if colors.is_log else values_type
-    return Picture(path, kind, size, values_type, colors, False, lambda: (open_file(), None), exif)
+    return Picture(
+        path, kind, tuple(file.size), values_type, colors, False, lambda: (open_file(), None), exif
+    )
 
 
 def _open_by_oiio(path: Path, kind: str, _: str, space: str) -> Picture:
@@ -368,7 +363,6 @@ def _open_by_oiio(path: Path, kind: str, _: str, space: str) -> Picture:
     name = _TYPES.get(str(spec.format))
     if name is None:
         raise ValueError(f"its values are {spec.format}, not of 8 or 16 bits or floats")
-    tag = "Interoperability InteroperabilityIndex"
     if space and kind != "hdr":
         colors = primaries.space_colors(space, name)
     elif kind == "png" and (coded := _png_chunk(path, b"cICP")) is not None:  # it counts before all others
@@ -378,7 +372,7 @@ def _open_by_oiio(path: Path, kind: str, _: str, space: str) -> Picture:
     elif kind == "png":
         with PngImagePlugin.PngImageFile(path) as image:
             colors = primaries.png_colors(image.info)
-    elif kind == "jpeg" and str(exif_tags(path).get(tag)) == "R03":
+    elif kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
         colors = primaries.space_colors("adobergb")  # for which cameras embed no profile
     exif: Path | bytes = path
     if kind == "webp":  # where ExifRead finds none
@@ -393,16 +387,15 @@ def _open_by_oiio(path: Path, kind: str, _: str, space: str) -> Picture:
             raise ValueError(file.geterror() or "it is damaged")
         return (pixels, None) if alpha < 0 else (pixels[..., :3], np.asarray(pixels)[..., alpha])
 
-    values_type = "float32" if colors.is_log else name
-    return Picture(path, kind, (spec.width, spec.height), values_type, colors, colors.is_none, decode, exif)
+    is_plain, size = colors.curve is None and colors.matrix is None, (spec.width, spec.height)
+    return Picture(path, kind, size, "float32" if colors.is_log else name, colors, is_plain, decode, exif)
 
 
 def _refuse_previews(path: Path) -> None:
     """Refuse a TIFF of whose values OpenImageIO would give others."""
     tags = exif_tags(path)
-    colors, kind = (
-        exif_number(tags, f"Image {name}") for name in ("PhotometricInterpretation", "SubfileType")
-    )
+    names = "PhotometricInterpretation", "SubfileType"
+    colors, kind = (exif_number(tags, f"Image {name}") for name in names)
     if colors in _NO_RGB:
         what = f"its values are {_NO_RGB[int(colors)]} values, not RGB"
     elif kind is not None and int(kind) % 2 == 1:
@@ -437,7 +430,7 @@ def _png_chunk(path: Path, name: bytes) -> bytes | None:
 
 
 def _radiance_colors(path: Path, space: str) -> Colors:
-    """What a Radiance file's header says of its values, unless a space is named; OpenImageIO applies nothing."""
+    """What a Radiance file's header says of its values, or a space's name; OpenImageIO applies none of it."""
     with path.open("rb") as file:
         head, _, rest = file.read(65_536).partition(b"\n\n")
     if not rest.startswith(b"-Y"):
@@ -463,12 +456,12 @@ def _three(values: np.ndarray) -> np.ndarray:
     return np.repeat(values, 3, axis=-1) if values.shape[-1] < 3 else values
 
 
+@lru_cache(maxsize=4)
 def _curve_table(colors: Colors, stored: np.dtype[Any]) -> np.ndarray:
     """(levels, 3) linear value of each code of a type."""
     codes = np.linspace(0.0, 1.0, np.iinfo(stored).max + 1)
-    if colors.curve is None:
-        return np.repeat(srgb_decoded(codes)[:, None], 3, axis=1)
-    return colors.curve(codes) if colors.is_log else np.clip(colors.curve(codes), 0.0, 1.0)
+    curve = colors.curve or (lambda values: np.repeat(srgb_decoded(values)[:, None], 3, axis=1))
+    return curve(codes) if colors.is_log else np.clip(curve(codes), 0.0, 1.0)
 
 
 def _mapped(table: np.ndarray, codes: np.ndarray) -> np.ndarray:

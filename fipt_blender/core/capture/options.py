@@ -147,12 +147,7 @@ class CaptureOptions:
     ] = 0.0
     layer: Annotated[str, LAYER_TEXT] = ""
     colorspace: Annotated[
-        str,
-        Option(
-            "Color space of the photographs by OpenColorIO's name, for example ACEScg or ARRI LogC4. If empty,"
-            " what the files say",
-            "Color Space",
-        ),
+        str, Option("OpenColorIO's name of the photographs' color space, such as ACEScg", "Color Space")
     ] = ""
     scale: Annotated[
         float,

@@ -9,7 +9,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,7 @@ REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 # Color spaces of OpenColorIO by their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
 _CICP = {1: "lin_rec709", 9: "lin_rec2020", 12: "lin_p3d65"}
 _OCIO = "ocio://studio-config-latest"  # the configuration with cameras' spaces, which is within OpenColorIO
-# Of its spaces: those of displays, not of a scene; no space; ACEScc, which no file has; film densities. The
-# last two are no curve with a matrix.
+# Of its spaces, those of displays, not of a scene; of none; what is no curve with a matrix, and in no file.
 _NO_SCENE = re.compile(r".* - Display|Raw|ACEScc|ADX\d+")
 CIE_XYZ = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0])
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -42,11 +41,6 @@ class Colors:
     matrix: np.ndarray | None = None
     is_log: bool = False  # whether the highest code is far brighter than white, so that codes are radiance
 
-    @property
-    def is_none(self) -> bool:
-        """Whether stored values are what programs take them for."""
-        return self.curve is None and self.matrix is None
-
 
 @lru_cache
 def spaces() -> dict[str, str]:
@@ -58,31 +52,25 @@ def spaces() -> dict[str, str]:
 
 @lru_cache
 def space_colors(name: str, stored: str = "uint8") -> Colors:
-    """Colors of values of a type by one of `spaces`."""
-    known = spaces()
-    if name.lower() not in known:
-        near = {space for alias, space in known.items() if name.lower() in alias}
-        listed = sorted(near) or difflib.get_close_matches(name, set(known.values()), 5, 0.0)
+    """Colors of values of a type by one of `spaces`; its matrix by what becomes of 0.5 in single channels."""
+    space = spaces().get(name.lower())
+    if space is None:
+        near = {each for alias, each in spaces().items() if name.lower() in alias}
+        listed = sorted(near) or difflib.get_close_matches(name, set(spaces().values()), 5, 0.0)
         raise FiptError("colorspace-unknown", name=name, near=", ".join(listed))
+    curve, codes = partial(_converted, space), np.linspace(0.0, 1.0, 257)
+    grey, usual = curve(codes)[:, 0], codes if stored == "float32" else srgb_decoded(codes)
+    matrix = curve(0.5 * np.eye(3)).T @ np.linalg.inv(grey[0] + (grey[128] - grey[0]) * np.eye(3))
+    is_usual, is_log = np.allclose(grey, usual, atol=1e-5), bool(grey[-1] > 1.01)
+    return Colors(None if is_usual else curve, _unless_rec709(matrix), is_log)
 
-    def converted(values: np.ndarray) -> np.ndarray:
-        """Linear Rec.709 of (n, 3)."""
-        rows = math.gcd(len(values), 256)  # of pixels, since OpenImageIO has a thread for some rows each
-        source = oiio.ImageBuf(values.astype(np.float32).reshape(rows, -1, 3))
-        linear = oiio.ImageBufAlgo.colorconvert(
-            source, known[name.lower()], "lin_rec709", False, colorconfig=_OCIO
-        )
-        return np.asarray(linear.get_pixels(oiio.FLOAT)).reshape(-1, 3).astype(np.float64)
 
-    def curve(values: np.ndarray) -> np.ndarray:
-        return converted(np.repeat(values[:, None], 3, axis=1))
-
-    codes = np.linspace(0.0, 1.0, 257)
-    grey = curve(codes)[:, 0]
-    # The matrix, times what the curve makes of 0 and 0.5.
-    matrix = converted(0.5 * np.eye(3)).T @ np.linalg.inv(grey[0] + (grey[128] - grey[0]) * np.eye(3))
-    usual = np.abs(grey - (codes if stored == "float32" else srgb_decoded(codes))).max() < 1e-5
-    return Colors(None if usual else curve, _unless_rec709(matrix), bool(grey[-1] > 1.01))
+def _converted(space: str, values: np.ndarray) -> np.ndarray:
+    """Linear Rec.709 (n, 3) of values (n, 3), or of grey ones (n,)."""
+    colors = np.broadcast_to(values.reshape(len(values), -1), (len(values), 3)).astype(np.float32)
+    source = oiio.ImageBuf(colors.reshape(math.gcd(len(values), 256), -1, 3))  # a thread takes some rows
+    linear = oiio.ImageBufAlgo.colorconvert(source, space, "lin_rec709", False, colorconfig=_OCIO)
+    return np.asarray(linear.get_pixels(oiio.FLOAT)).reshape(-1, 3).astype(np.float64)
 
 
 def xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
@@ -118,9 +106,8 @@ def png_colors(info: dict[Any, Any]) -> Colors:
         ValueError: they make no sense.
     """
     gamma = 0.45455 if "srgb" in info else info.get("gamma", 0.45455)  # what programs write for sRGB's curve
-    matrix = None
-    if "chromaticity" in info and "srgb" not in info:
-        matrix = to_rec709(np.roll(info["chromaticity"], -2))  # white comes first
+    stated = info.get("chromaticity") if "srgb" not in info else None  # white comes first
+    matrix = None if stated is None else to_rec709(np.roll(stated, -2))
     return Colors(None if abs(gamma - 0.45455) < 1e-3 or gamma <= 0.0 else power(1.0 / gamma), matrix)
 
 
@@ -163,8 +150,7 @@ def icc_colors(data: bytes) -> Colors:
 
 def _colorants(profile: ImageCms.core.CmsProfile) -> np.ndarray:
     """(3, 3) from linear values to CIE XYZ with the white of ICC profiles (D50)."""
-    names = ("red_colorant", "green_colorant", "blue_colorant")
-    return np.array([getattr(profile, name)[0] for name in names]).T
+    return np.array([getattr(profile, f"{name}_colorant")[0] for name in ("red", "green", "blue")]).T
 
 
 def _colors(tags: list[bytes], matrix: np.ndarray | None) -> Colors:

@@ -22,7 +22,6 @@ from .files import stand_in
 from .formats.registry import read_points, read_rig
 from .mesh_file import read_mesh
 from .options import CaptureOptions
-from .primaries import space_colors
 from .relation import Related, relate
 from .rig import Rig
 
@@ -47,8 +46,6 @@ class Source(Related):
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
     """Read cameras and mesh, and warn of what the user should know of them."""
-    if options.colorspace:
-        space_colors(options.colorspace)  # raises
     rig = _with_names(read_rig(capture, options.format, options), options)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
