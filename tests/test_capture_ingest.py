@@ -254,11 +254,13 @@ def test_photographs_of_a_named_color_space(tmp_path, run):
     write_transforms(tmp_path / "in", samples)
     error = error_of(run_ingest, tmp_path / "in", run, colorspace="slog")
     assert error.code == "colorspace-unknown" and not run.root.exists()
-    codes = np.full((samples[0].height, samples[0].width, 3), 420.0 / 1023.0)  # 18 % grey
-    codes[:5] = 1.0
     with edited_json(tmp_path / "in" / "transforms.json") as data:
-        for frame in data["frames"]:
-            path = (tmp_path / "in" / frame["file_path"]).with_suffix(".tif")
+        for frame, sample in zip(data["frames"], samples, strict=True):
+            codes = np.full((sample.height, sample.width, 3), 420.0 / 1023.0)  # 18 % grey
+            codes[:5] = 1.0
+            old = tmp_path / "in" / frame["file_path"]
+            old.unlink()
+            path = old.with_suffix(".tif")
             frame["file_path"] = f"images/{path.name}"
             write_tiff(path, np.round(65535.0 * codes).astype(np.uint16))
     run_ingest(tmp_path / "in", run, hold_back=0, colorspace="S-Log3 S-Gamut3.Cine")

@@ -23,7 +23,7 @@ from .encoded import srgb_decoded
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
 # Color spaces of OpenColorIO by their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
 _CICP = {1: "lin_rec709", 9: "lin_rec2020", 12: "lin_p3d65"}
-_OCIO = "ocio://studio-config-latest"  # the configuration with cameras' spaces, which is within OpenColorIO
+_OCIO = "ocio://studio-config-v2.2.0_aces-v1.3_ocio-v2.4"  # within OpenColorIO, with cameras' spaces
 # Of its spaces, those of displays, not of a scene; of none; what is no curve with a matrix, and in no file.
 _NO_SCENE = re.compile(r".* - Display|Raw|ACEScc|ADX\d+")
 CIE_XYZ = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0])
