@@ -5,11 +5,14 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+import OpenEXR
+import OpenImageIO as oiio
 import pytest
 from PIL import Image
 
 from fipt_blender.core.capture.encoded import srgb_decoded, srgb_encoded
 from fipt_blender.core.capture.images import open_picture, read_codes, read_ids, read_radiance, read_size, write_exr
+from fipt_blender.core.capture.primaries import space_colors
 from fipt_blender.core.capture.views import load_capture
 from fipt_blender.core.run.runfolder import RunFolder
 from fipt_blender.prepare.exif import describe
@@ -390,3 +393,77 @@ def test_an_imported_photograph_is_what_other_programs_read(tmp_path):
     np.testing.assert_array_equal(views[1].radiance(), np.float32(0.7))
     assert [view.encoded for view in views] == [True, False]
     assert all(view.image.is_relative_to(run.root) and open_picture(view.image).is_plain for view in views)
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "linear"),
+    [  # published codes of 18 % grey; of Apple's and Blackmagic's, of white and twelve times that
+        ("ARRI LogC3 (EI800)", 0.391, 0.18),
+        ("ARRI LogC4", 0.27840, 0.18),
+        ("S-Log3 S-Gamut3.Cine", 420.0 / 1023.0, 0.18),
+        ("vlog_vgamut", 0.42331, 0.18),
+        ("Log3G10 REDWideGamutRGB", 1.0 / 3.0, 0.18),
+        ("ACEScct", 0.41359, 0.18),
+        ("davinci intermediate widegamut", 0.336043, 0.18),
+        ("Apple Log", 1.0, 12.0),
+    ],
+)
+def test_named_log_curves(tmp_path, name, code, linear):
+    """Codes of 16 bits and floats are radiance, also above white; alike by any name of the space."""
+    for path in (tmp_path / "a.tif", tmp_path / "a.exr"):
+        values = np.full((4, 4, 3), code, np.float32)
+        if path.suffix == ".exr":
+            write_exr(path, values)
+        else:
+            write_tiff(path, np.round(values * 65535.0).astype(np.uint16))
+        picture = open_picture(path, space=name)
+        assert not picture.is_encoded and not picture.is_plain
+        np.testing.assert_allclose(picture.shown()[0], linear, atol=1e-4, rtol=2e-4)
+
+
+def test_named_color_spaces(tmp_path):
+    """Curve and matrix of every space give what OpenColorIO makes of any color; published matrices."""
+    published = [[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]]
+    np.testing.assert_allclose(space_colors("ACEScg").matrix, published, atol=1e-4)
+    colors = np.random.default_rng(0).uniform(0.05, 0.9, (50, 1, 3)).astype(np.float32)
+    path = tmp_path / "a.exr"
+    write_exr(path, colors)
+    for name in ("sRGB - Display", "ACEScc", "ADX10", "Raw"):  # of no scene, or no curve with a matrix
+        assert error_of(space_colors, name).code == "colorspace-unknown"
+    config = "ocio://studio-config-v2.2.0_aces-v1.3_ocio-v2.4"
+    for name in ("ACES2065-1", "BMDFilm WideGamut Gen5", "CanonLog3 CinemaGamut D55", "Gamma 1.8 Encoded Rec.709"):
+        wanted = oiio.ImageBufAlgo.colorconvert(oiio.ImageBuf(colors), name, "lin_rec709", colorconfig=config)
+        wanted = np.asarray(wanted.get_pixels(oiio.FLOAT))
+        np.testing.assert_allclose(open_picture(path, space=name).shown()[0], wanted, atol=1e-4 * np.abs(wanted).max())
+
+
+def test_a_named_color_space_goes_before_what_the_file_says(tmp_path):
+    linear = 0.2 + 0.6 * RADIANCE
+    other = in_primaries(linear, "P3").astype(np.float32)
+    planes = {name: np.ascontiguousarray(other[..., i]) for i, name in enumerate("RGB")}
+    path = write_plain_exr(tmp_path / "a.exr", planes, PRIMARIES["Rec.2020"])
+    np.testing.assert_allclose(open_picture(path, space="Linear P3-D65").shown()[0], linear, atol=1e-4)
+    write_exr(tmp_path / "b.exr", other)
+    assert open_picture(tmp_path / "b.exr", space="lin_rec709").is_plain
+    path = write_codes(tmp_path / "a.png", srgb_encoded(other), icc_profile("Adobe RGB", "sRGB"))
+    picture = open_picture(path, space="sRGB Encoded P3-D65")
+    assert picture.is_encoded
+    np.testing.assert_allclose(picture.shown()[0], linear, atol=4e-3)
+    header = b"EXPOSURE=2\nPRIMARIES=" + b" ".join(b"%.4f" % value for value in PRIMARIES["Rec.2020"]) + b"\n"
+    path = write_hdr(tmp_path / "a.hdr", other, header)
+    np.testing.assert_allclose(open_picture(path, space="lin_p3d65").shown()[0], linear / 2.0, atol=0.012)
+
+
+def test_the_color_space_that_an_exr_is_tagged_with(tmp_path):
+    """The attribute colorInteropID counts before chromaticities; one that says nothing changes nothing."""
+    planes = {name: np.full((2, 2), value, np.float32) for name, value in zip("RGB", (0.4, 0.2, 0.1), strict=True)}
+    for tag, wanted in (("lin_ap1_scene", space_colors("ACEScg").matrix @ [0.4, 0.2, 0.1]), ("data", [0.4, 0.2, 0.1])):
+        header = {"type": OpenEXR.scanlineimage, "colorInteropID": tag}
+        OpenEXR.File(header, planes).write(str(tmp_path / f"{tag}.exr"))
+        np.testing.assert_allclose(read_radiance(tmp_path / f"{tag}.exr")[0, 0], wanted, atol=1e-5)
+
+
+def test_unknown_color_spaces_are_refused_with_near_ones():
+    for name, near in (("slog3", "S-Log3 S-Gamut3.Cine"), ("LogC", "ARRI LogC4"), ("ACESgc", "ACEScg")):
+        error = error_of(space_colors, name)
+        assert error.code == "colorspace-unknown" and near in error.text and "--colorspace" in error.remedy

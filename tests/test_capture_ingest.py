@@ -39,6 +39,7 @@ from samples.capture_files import (
     write_mesh,
     write_transforms,
 )
+from samples.image_files import write_tiff
 from samples.ingesting import edited_json, put, run_ingest, set_pixels, warnings
 from samples.photographs import exif
 from samples.refusals import error_of
@@ -245,6 +246,27 @@ def test_large_photographs_are_rewritten_with_the_bits_that_they_have(tmp_path, 
     assert is_half == (value == 0.4)
     error = srgb_encoded(views[1].radiance()) - srgb_encoded(exact[1])
     assert np.abs(error).max() < 0.51 / 255.0  # rounding
+
+
+def test_photographs_of_a_named_color_space(tmp_path, run):
+    """Log codes of 16 bits become HDR images of the run, whose highest values are brighter than white."""
+    samples = make_samples(2)
+    write_transforms(tmp_path / "in", samples)
+    error = error_of(run_ingest, tmp_path / "in", run, colorspace="slog")
+    assert error.code == "colorspace-unknown" and not run.root.exists()
+    with edited_json(tmp_path / "in" / "transforms.json") as data:
+        for frame, sample in zip(data["frames"], samples, strict=True):
+            codes = np.full((sample.height, sample.width, 3), 420.0 / 1023.0)  # 18 % grey
+            codes[:5] = 1.0
+            old = tmp_path / "in" / frame["file_path"]
+            old.unlink()
+            path = old.with_suffix(".tif")
+            frame["file_path"] = f"images/{path.name}"
+            write_tiff(path, np.round(65535.0 * codes).astype(np.uint16))
+    run_ingest(tmp_path / "in", run, hold_back=0, colorspace="S-Log3 S-Gamut3.Cine")
+    views = load_capture(run).views
+    assert not any(view.encoded for view in views)
+    np.testing.assert_allclose(views[0].radiance()[[0, -1], 0], np.outer([38.421, 0.18], np.ones(3)), rtol=1e-3)
 
 
 def test_photographs_without_distortion_that_the_disk_lacks_are_refused(tmp_path, run, monkeypatch):

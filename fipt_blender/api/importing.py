@@ -95,6 +95,7 @@ def _use_scene_cameras(scene: bpy.types.Scene) -> Job:
         up_axis="z",
         hold_back=settings.hold_back,
         layer=settings.layer,
+        colorspace=settings.colorspace,
         clamp_negative=settings.clamp_negative,
         own_paths=True,
         keep_poses=True,  # the artist's

@@ -22,8 +22,9 @@ from . import checks
 from .distortion import lens_pinhole
 from .encoded import srgb_encoded
 from .files import stand_in
-from .images import open_picture, read_radiance, read_size
+from .images import open_picture, read_size
 from .options import CaptureOptions
+from .photograph import Photograph
 from .rig import DepthView, Pinhole, RigView
 
 # Beyond this, depth cameras of phones and consoles measure little but noise.
@@ -117,9 +118,9 @@ def _no_depth(path: Path) -> FiptError:
 def _colors(view: DepthView, depth: np.ndarray, scale: float) -> np.ndarray | None:
     """The photograph's colors at the depth image's pixels, as sRGB codes from 0 to 1."""
     photograph = view.photograph
-    if photograph is None or not open_picture(photograph.image).is_encoded:
+    if photograph is None or not (picture := Photograph((photograph,)).picture).is_encoded:
         return None
-    pixels = srgb_encoded(read_radiance(photograph.image))
+    pixels = srgb_encoded(picture.shown()[0])
     from_depth = np.linalg.inv(photograph.camera_to_world) @ view.camera_to_world
     depth = np.where(depth > 0.0, depth, NEAR)  # also what is not measured has a color
     y, x = np.mgrid[: view.height, : view.width] + 0.5
@@ -191,8 +192,7 @@ def fuse(
     check_unit(some)
     _check_other_units(views[:: max(1, len(views) // 8)], scale)
     voxel = options.voxel or max(FINEST, SPACINGS * pixel_spacing(some))
-    photographs = [view.photograph.image for view in views if view.photograph is not None]
-    with_color = any(open_picture(path).is_encoded for path in photographs)
+    with_color = any(view.photograph and Photograph((view.photograph,)).picture.is_encoded for view in views)
     volume, gaps = BlockVolume(voxel, with_color), BlockVolume(voxel, with_color)
     for index, view in enumerate(views):
         gaps.integrate(gap_image(read_depth(view, scale)))

@@ -17,7 +17,7 @@ import OpenEXR
 
 from ..run.errors import FiptError
 from .encoded import check_pixels, unreadable
-from .primaries import REC709, to_rec709, xyz_from_rgb
+from .primaries import REC709, spaces, to_rec709, xyz_from_rgb
 
 # What programs call the picture itself, and what they call other passes; without blanks, "_" and "-".
 _BEAUTY = re.compile("|combined|beauty|rgba?|c|ci|color|colour|image|finalimage|main")
@@ -49,9 +49,9 @@ class Layer:
 
 
 class ExrFile:
-    """An OpenEXR file by the headers of its parts."""
+    """An OpenEXR file by the headers of its parts, and by the color space that is named for it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, space: str = "") -> None:
         self.path = path
         file = self._open(header_only=True)
         self._headers = [file.header(index) for index in range(len(file.parts))]
@@ -66,6 +66,8 @@ class ExrFile:
                 reason = f"{width} x {height} pixels, of which {stored[0]} x {stored[1]} are stored"
                 raise unreadable(path, reason)
         self.size = sizes[0][0]
+        tag = str(self._headers[0].get("colorInteropID", ""))
+        self.space = space or (tag if tag.lower() in spaces() else "")  # color space, "" without
 
     @property
     def note(self) -> str:
@@ -82,8 +84,8 @@ class ExrFile:
         return False
 
     def picture(self, layer: str = "") -> tuple[np.ndarray, np.ndarray | None]:
-        """Linear Rec.709 of the picture, (height, width, 3) float32 on the display window, and its alpha
-        (height, width), None without: 0 also where the file holds no pixels.
+        """Linear Rec.709 of the picture, or values of its `space`, (height, width, 3) float32 on the display
+        window, and its alpha (height, width), None without: 0 also where the file holds no pixels.
 
         Args:
             layer: name of the part or layer; "" for the one that is named like a picture.
@@ -98,7 +100,7 @@ class ExrFile:
             green = (planes[0] - weights[0] * red - weights[2] * blue) / weights[1]
             planes = [red, green.astype(np.float32), blue]
         pixels = np.stack(planes * (3 // len(planes)), axis=-1)
-        if matrix is not None and len(planes) == 3:
+        if matrix is not None and len(planes) == 3 and not self.space:
             pixels = pixels @ matrix.T.astype(np.float32)
         return pixels, alpha
 

@@ -91,7 +91,7 @@ class Picture:
     path: Path  # of the file
     kind: str  # "exr", "heif" or OpenImageIO's name of the format
     size: tuple[int, int]  # width and height in pixels, as stored
-    type: str  # of the values: "uint8" or "uint16" are codes, "float32" is radiance
+    type: str  # what its values mean: "uint8" or "uint16" codes, "float32" radiance, also by log codes
     colors: Colors  # what the values mean
     is_plain: bool  # whether programs that know nothing of layers, primaries and curves show the same
     # Makes the pixels (height, width, channels), and alpha (height, width), None without
@@ -124,8 +124,7 @@ class Picture:
             decoded, alpha = self.decode()
         except DAMAGE as error:
             raise unreadable(self.path, error) from None
-        pixels = np.asarray(decoded)
-        pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+        pixels = np.atleast_3d(np.asarray(decoded))
         return pixels[..., : 3 if pixels.shape[-1] > 2 else 1], alpha
 
     def data(self) -> np.ndarray:
@@ -136,12 +135,14 @@ class Picture:
         """Radiance as of `read_radiance`, and (height, width) bool, whose alpha is 0, so that they show
         nothing; None where none or all are."""
         values, alpha = self.stored()
-        pixels, matrix = _three(values), self.colors.matrix
-        if self.is_encoded:
+        pixels, matrix, curve = _three(values), self.colors.matrix, self.colors.curve
+        if pixels.dtype.kind == "u":
             # By a table, since powers of all pixels would take seconds.
-            table, curve = _curve_table(self).astype(np.float32), self.colors.curve
+            table = _curve_table(self.colors, pixels.dtype).astype(np.float32)
             # No code is clipped; to check that would take longer.
             pixels = np.take(table[:, 0], pixels, mode="clip") if curve is None else _mapped(table, pixels)
+        elif curve is not None:
+            pixels = curve(pixels.ravel())[:, 0].reshape(pixels.shape)
         if matrix is not None:
             pixels = pixels @ matrix.T.astype(np.float32)
             pixels = np.clip(pixels, 0.0, 1.0) if self.is_encoded else pixels
@@ -165,12 +166,13 @@ class Picture:
         return ids.astype(np.int32)
 
 
-def open_picture(path: Path, layer: str = "") -> Picture:
+def open_picture(path: Path, layer: str = "", space: str = "") -> Picture:
     """An image file by its header; no pixel is decoded. The same object while the file does not change.
 
     Args:
         path: of the file.
         layer: of an EXR; see `ExrFile.picture`.
+        space: its color space, a name of `primaries.space_colors`; "" for what the file says.
     """
     try:
         status = path.stat()
@@ -178,11 +180,11 @@ def open_picture(path: Path, layer: str = "") -> Picture:
         raise missing(path) from None
     except DAMAGE as error:
         raise unreadable(path, error) from None
-    return _opened(path, layer, status.st_ino, status.st_size, status.st_mtime_ns)
+    return _opened(path, layer, space, status.st_ino, status.st_size, status.st_mtime_ns)
 
 
 @lru_cache(maxsize=10_000)
-def _opened(path: Path, layer: str, *state: int) -> Picture:
+def _opened(path: Path, layer: str, space: str, *state: int) -> Picture:
     """`open_picture` of a file in a state."""
     try:
         with path.open("rb") as file:
@@ -198,7 +200,7 @@ def _opened(path: Path, layer: str, *state: int) -> Picture:
             if suffix in IMAGE_SUFFIXES:
                 raise ValueError(f"its content is none of {FORMATS}")
             raise FiptError("image-format", path=path)
-        picture = _OPEN.get(kind, _open_by_oiio)(path, kind, layer)
+        picture = _OPEN.get(kind, _open_by_oiio)(path, kind, layer, space)
     except DAMAGE as error:
         raise unreadable(path, error) from None
     check_pixels(path, *picture.size)
@@ -243,7 +245,8 @@ def read_codes(path: Path, as_stored: bool = False) -> tuple[np.ndarray, np.ndar
     picture = open_picture(path)
     codes = _three(picture.stored()[0])
     if picture.colors.curve is not None and not as_stored:
-        codes = _mapped(np.round(65535.0 * srgb_encoded(_curve_table(picture))).astype(np.uint16), codes)
+        table = srgb_encoded(_curve_table(picture.colors, codes.dtype))
+        codes = _mapped(np.round(65535.0 * table).astype(np.uint16), codes)
     return codes, picture.colors.matrix
 
 
@@ -322,33 +325,36 @@ def write_ids(path: Path, ids: np.ndarray) -> None:
         temporary.write_bytes(buffer.getbuffer())
 
 
-def _open_exr(path: Path, kind: str, layer: str) -> Picture:
-    file = ExrFile(path)
+def _open_exr(path: Path, kind: str, layer: str, space: str) -> Picture:
+    file = ExrFile(path, space)
+    colors = primaries.space_colors(file.space, "float32") if file.space else Colors()
     decode, plain = partial(file.picture, layer), file.is_plain(layer)
-    return Picture(path, kind, file.size, "float32", Colors(), plain, decode, numbers=file.values)
+    plain = plain and colors.curve is None and colors.matrix is None
+    return Picture(path, kind, file.size, "float32", colors, plain, decode, numbers=file.values)
 
 
-def _open_heif(path: Path, kind: str, _: str) -> Picture:
+def _open_heif(path: Path, kind: str, _: str, space: str) -> Picture:
     open_file = partial(optional(kind, "A photograph in HEIC").open_heif, path, convert_hdr_to_8bit=False)
     file = open_file()
     icc, nclx = file.info.get("icc_profile"), file.info.get("nclx_profile")
-    colors = Colors()
-    if icc:
+    colors = primaries.space_colors(space) if space else Colors()
+    if icc and not space:
         colors = primaries.icc_colors(icc)
-    elif nclx:
+    elif nclx and not space:
         if nclx["transfer_characteristics"] in (16, 18):
             primaries.cicp_colors(1, nclx["transfer_characteristics"])
-        corners = [f"color_primary_{name}" for name in ("red", "green", "blue", "white")]
-        values = [nclx[f"{corner}_{axis}"] for corner in corners for axis in "xy"]
+        corners = ("red", "green", "blue", "white")
+        values = [nclx[f"color_primary_{corner}_{axis}"] for corner in corners for axis in "xy"]
         colors = Colors(None, primaries.to_rec709(np.array(values)))
-    values_type = "uint16" if file.mode.endswith("16") else "uint8"
+    values_type = "float32" if colors.is_log else "uint16" if file.mode.endswith("16") else "uint8"
     exif = file.info.get("exif") or b""
-    size = tuple(file.size)
-    return Picture(path, kind, size, values_type, colors, False, lambda: (open_file(), None), exif)
+    return Picture(
+        path, kind, tuple(file.size), values_type, colors, False, lambda: (open_file(), None), exif
+    )
 
 
-def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
-    colors = _radiance_colors(path) if kind == "hdr" else Colors()
+def _open_by_oiio(path: Path, kind: str, _: str, space: str) -> Picture:
+    colors = _radiance_colors(path, space) if kind == "hdr" else Colors()
     if kind == "jpegxl" and not oiio.is_imageio_format_name(kind):
         raise FiptError("image-format.known", path=path, what="JPEG XL", formats=FORMATS)
     if kind == "tiff":
@@ -357,18 +363,17 @@ def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
     name = _TYPES.get(str(spec.format))
     if name is None:
         raise ValueError(f"its values are {spec.format}, not of 8 or 16 bits or floats")
-    icc = spec.getattribute("ICCProfile")
-    if icc is not None:
-        colors = primaries.icc_colors(bytes(icc))
-    if kind == "png" and (coded := _png_chunk(path, b"cICP")) is not None:  # it counts before all others
+    if space and kind != "hdr":
+        colors = primaries.space_colors(space, name)
+    elif kind == "png" and (coded := _png_chunk(path, b"cICP")) is not None:  # it counts before all others
         colors = primaries.cicp_colors(coded[0], coded[1])
-    elif icc is None and kind == "png":
+    elif (icc := spec.getattribute("ICCProfile")) is not None:
+        colors = primaries.icc_colors(bytes(icc))
+    elif kind == "png":
         with PngImagePlugin.PngImageFile(path) as image:
             colors = primaries.png_colors(image.info)
-    tag = "Interoperability InteroperabilityIndex"
-    if icc is None and kind == "jpeg" and str(exif_tags(path).get(tag)) == "R03":
-        # Adobe RGB, for which cameras embed no profile.
-        colors = Colors(primaries.power(563.0 / 256.0), primaries.to_rec709(primaries.ADOBE_RGB))
+    elif kind == "jpeg" and str(exif_tags(path).get("Interoperability InteroperabilityIndex")) == "R03":
+        colors = primaries.space_colors("adobergb")  # for which cameras embed no profile
     exif: Path | bytes = path
     if kind == "webp":  # where ExifRead finds none
         with WebPImagePlugin.WebPImageFile(path) as webp:
@@ -382,16 +387,15 @@ def _open_by_oiio(path: Path, kind: str, _: str) -> Picture:
             raise ValueError(file.geterror() or "it is damaged")
         return (pixels, None) if alpha < 0 else (pixels[..., :3], np.asarray(pixels)[..., alpha])
 
-    is_plain = colors.curve is None and colors.matrix is None
-    return Picture(path, kind, (spec.width, spec.height), name, colors, is_plain, decode, exif)
+    is_plain, size = colors.curve is None and colors.matrix is None, (spec.width, spec.height)
+    return Picture(path, kind, size, "float32" if colors.is_log else name, colors, is_plain, decode, exif)
 
 
 def _refuse_previews(path: Path) -> None:
     """Refuse a TIFF of whose values OpenImageIO would give others."""
     tags = exif_tags(path)
-    colors, kind = (
-        exif_number(tags, f"Image {name}") for name in ("PhotometricInterpretation", "SubfileType")
-    )
+    names = "PhotometricInterpretation", "SubfileType"
+    colors, kind = (exif_number(tags, f"Image {name}") for name in names)
     if colors in _NO_RGB:
         what = f"its values are {_NO_RGB[int(colors)]} values, not RGB"
     elif kind is not None and int(kind) % 2 == 1:
@@ -425,25 +429,26 @@ def _png_chunk(path: Path, name: bytes) -> bytes | None:
     return None
 
 
-def _radiance_colors(path: Path) -> Colors:
-    """What a Radiance file's header says of its values; OpenImageIO applies none of it."""
+def _radiance_colors(path: Path, space: str) -> Colors:
+    """What a Radiance file's header says of its values, or a space's name; OpenImageIO applies none of it."""
     with path.open("rb") as file:
         head, _, rest = file.read(65_536).partition(b"\n\n")
     if not rest.startswith(b"-Y"):
         raise ValueError("its rows are in an unusual order")
-    scale, matrix = np.ones(3), None
+    named = primaries.space_colors(space, "float32") if space else Colors()
+    scale, matrix = np.ones(3), named.matrix
     for line in head.split(b"\n"):
         name, _, value = line.partition(b"=")
         if name == b"FORMAT" and value.strip() != b"32-bit_rle_rgbe":
             raise ValueError("its colors are CIE XYZ, not RGB")
-        if name == b"PRIMARIES":
+        if name == b"PRIMARIES" and not space:
             matrix = primaries.to_rec709(np.array(value.split(), np.float64))
         elif name in (b"EXPOSURE", b"COLORCORR"):
             scale = scale / np.array(value.split(), np.float64)
     if scale.shape != (3,) or not ((scale > 1e-12) & (scale < 1e12)).all():
         raise ValueError("its exposure makes no sense")
     plain = matrix is None and (scale == 1.0).all()
-    return Colors(None, None if plain else (np.eye(3) if matrix is None else matrix) * scale)
+    return Colors(named.curve, None if plain else (np.eye(3) if matrix is None else matrix) * scale)
 
 
 def _three(values: np.ndarray) -> np.ndarray:
@@ -451,12 +456,12 @@ def _three(values: np.ndarray) -> np.ndarray:
     return np.repeat(values, 3, axis=-1) if values.shape[-1] < 3 else values
 
 
-def _curve_table(picture: Picture) -> np.ndarray:
-    """(levels, 3) linear value of each code."""
-    codes = np.linspace(0.0, 1.0, np.iinfo(picture.type).max + 1)
-    if picture.colors.curve is None:
-        return np.repeat(srgb_decoded(codes)[:, None], 3, axis=1)
-    return np.clip(picture.colors.curve(codes), 0.0, 1.0)
+@lru_cache(maxsize=4)
+def _curve_table(colors: Colors, stored: np.dtype[Any]) -> np.ndarray:
+    """(levels, 3) linear value of each code of a type."""
+    codes = np.linspace(0.0, 1.0, np.iinfo(stored).max + 1)
+    curve = colors.curve or (lambda values: np.repeat(srgb_decoded(values)[:, None], 3, axis=1))
+    return curve(codes) if colors.is_log else np.clip(curve(codes), 0.0, 1.0)
 
 
 def _mapped(table: np.ndarray, codes: np.ndarray) -> np.ndarray:

@@ -146,6 +146,9 @@ class CaptureOptions:
         ),
     ] = 0.0
     layer: Annotated[str, LAYER_TEXT] = ""
+    colorspace: Annotated[
+        str, Option("OpenColorIO's name of the photographs' color space, such as ACEScg", "Color Space")
+    ] = ""
     scale: Annotated[
         float,
         Option(

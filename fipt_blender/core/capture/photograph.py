@@ -58,7 +58,7 @@ class Photograph:
     @cached_property
     def picture(self) -> Picture:
         """The file by its header."""
-        return open_picture(self.views[0].image, self.views[0].layer)
+        return open_picture(self.views[0].image, self.views[0].layer, self.views[0].colorspace)
 
     @cached_property
     def distorted(self) -> tuple[bool, ...]:

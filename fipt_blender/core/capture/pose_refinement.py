@@ -30,7 +30,8 @@ from ..run.threads import in_threads
 from .depth_images import read_depth
 from .distortion import lens_camera, lens_pinhole
 from .encoded import tone_mapped
-from .images import read_radiance, threads_for
+from .images import threads_for
+from .photograph import Photograph
 from .rig import EQUIRECTANGULAR, DepthView, Lens, Rig, RigView
 
 EXACT = 0.7  # pixels of mean reprojection error, up to which poses stay as they are
@@ -142,7 +143,7 @@ def _find_features(views: Sequence[RigView], progress: Progress) -> list[_Featur
         if not hasattr(of_thread, "sift"):
             of_thread.sift = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
         # What is not finite is refused where photographs are checked.
-        radiance = np.nan_to_num(read_radiance(view.image, view.layer), posinf=0.0, neginf=0.0)
+        radiance = np.nan_to_num(Photograph((view,)).picture.shown()[0], posinf=0.0, neginf=0.0)
         share = _share(view)
         if share < 1.0:
             size = round(share * view.width), round(share * view.height)

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import difflib
 import io
+import math
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
+import OpenImageIO as oiio
 from PIL import ImageCms
 
+from ..run.errors import FiptError
 from .encoded import srgb_decoded
 
 # x, y of red, green, blue and white.
 REC709 = np.array([0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290])
-ADOBE_RGB = np.array([0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290])
-# By their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
-CICP_PRIMARIES = {
-    1: REC709,
-    9: np.array([0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.3290]),
-    12: np.array([0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.3290]),
-}
+# Color spaces of OpenColorIO by their numbers in ITU-T H.273: BT.709, BT.2020 and Display P3.
+_CICP = {1: "lin_rec709", 9: "lin_rec2020", 12: "lin_p3d65"}
+_OCIO = "ocio://studio-config-v2.2.0_aces-v1.3_ocio-v2.4"  # within OpenColorIO, with cameras' spaces
+# Of its spaces, those of displays, not of a scene; of none; what is no curve with a matrix, and in no file.
+_NO_SCENE = re.compile(r".* - Display|Raw|ACEScc|ADX\d+")
 CIE_XYZ = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0])
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 _ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves differently
@@ -31,10 +35,42 @@ _ROUNDED = 4e-3  # of colours from 0 to 1; programs round primaries and curves d
 class Colors:
     """How stored values become linear Rec.709."""
 
-    # Linear values (n, 3) of codes (n,), both from 0 to 1; None for sRGB's curve
+    # Linear values (n, 3) of codes (n,) from 0 to 1; None for sRGB's curve, of radiance for none
     curve: Callable[[np.ndarray], np.ndarray] | None = None
     # (3, 3) from the linear values to Rec.709; None where they are Rec.709 already
     matrix: np.ndarray | None = None
+    is_log: bool = False  # whether the highest code is far brighter than white, so that codes are radiance
+
+
+@lru_cache
+def spaces() -> dict[str, str]:
+    """Color spaces of OpenColorIO by their names and aliases in small letters."""
+    config = oiio.ColorConfig(_OCIO)
+    names = [name for name in config.getColorSpaceNames() if not _NO_SCENE.fullmatch(name)]
+    return {alias.lower(): name for name in names for alias in (name, *config.getAliases(name))}
+
+
+@lru_cache
+def space_colors(name: str, stored: str = "uint8") -> Colors:
+    """Colors of values of a type by one of `spaces`; its matrix by what becomes of 0.5 in single channels."""
+    space = spaces().get(name.lower())
+    if space is None:
+        near = {each for alias, each in spaces().items() if name.lower() in alias}
+        listed = sorted(near) or difflib.get_close_matches(name, set(spaces().values()), 5, 0.0)
+        raise FiptError("colorspace-unknown", name=name, near=", ".join(listed))
+    curve, codes = partial(_converted, space), np.linspace(0.0, 1.0, 257)
+    grey, usual = curve(codes)[:, 0], codes if stored == "float32" else srgb_decoded(codes)
+    matrix = curve(0.5 * np.eye(3)).T @ np.linalg.inv(grey[0] + (grey[128] - grey[0]) * np.eye(3))
+    is_usual, is_log = np.allclose(grey, usual, atol=1e-5), bool(grey[-1] > 1.01)
+    return Colors(None if is_usual else curve, _unless_rec709(matrix), is_log)
+
+
+def _converted(space: str, values: np.ndarray) -> np.ndarray:
+    """Linear Rec.709 (n, 3) of values (n, 3), or of grey ones (n,)."""
+    colors = np.broadcast_to(values.reshape(len(values), -1), (len(values), 3)).astype(np.float32)
+    source = oiio.ImageBuf(colors.reshape(math.gcd(len(values), 256), -1, 3))  # a thread takes some rows
+    linear = oiio.ImageBufAlgo.colorconvert(source, space, "lin_rec709", False, colorconfig=_OCIO)
+    return np.asarray(linear.get_pixels(oiio.FLOAT)).reshape(-1, 3).astype(np.float64)
 
 
 def xyz_from_rgb(chromaticities: np.ndarray) -> np.ndarray:
@@ -70,9 +106,8 @@ def png_colors(info: dict[Any, Any]) -> Colors:
         ValueError: they make no sense.
     """
     gamma = 0.45455 if "srgb" in info else info.get("gamma", 0.45455)  # what programs write for sRGB's curve
-    matrix = None
-    if "chromaticity" in info and "srgb" not in info:
-        matrix = to_rec709(np.roll(info["chromaticity"], -2))  # white comes first
+    stated = info.get("chromaticity") if "srgb" not in info else None  # white comes first
+    matrix = None if stated is None else to_rec709(np.roll(stated, -2))
     return Colors(None if abs(gamma - 0.45455) < 1e-3 or gamma <= 0.0 else power(1.0 / gamma), matrix)
 
 
@@ -84,16 +119,10 @@ def cicp_colors(primaries: int, transfer: int) -> Colors:
     """
     if transfer in (16, 18):
         raise ValueError("it is encoded as HDR video, PQ or HLG; export it without HDR, or as OpenEXR")
-    if primaries not in CICP_PRIMARIES or transfer not in (1, 6, 8, 13, 14, 15):
+    if primaries not in _CICP or transfer not in (1, 6, 8, 13, 14, 15):
         raise ValueError(f"its colors are those of H.273's {primaries} and {transfer}; convert it to sRGB")
-    curve = {8: power(1.0), 13: None}.get(transfer, _video)
-    return Colors(curve, to_rec709(CICP_PRIMARIES[primaries]))
-
-
-def _video(values: np.ndarray) -> np.ndarray:
-    """The inverse of BT.709's curve, for `Colors`."""
-    linear = np.where(values < 0.081, values / 4.5, ((values + 0.099) / 1.099) ** (1.0 / 0.45))
-    return np.repeat(linear[:, None], 3, axis=1)
+    curve = {8: power(1.0), 13: None}.get(transfer, space_colors("camera_rec709").curve)
+    return Colors(curve, space_colors(_CICP[primaries]).matrix)
 
 
 def icc_colors(data: bytes) -> Colors:
@@ -121,8 +150,7 @@ def icc_colors(data: bytes) -> Colors:
 
 def _colorants(profile: ImageCms.core.CmsProfile) -> np.ndarray:
     """(3, 3) from linear values to CIE XYZ with the white of ICC profiles (D50)."""
-    names = ("red_colorant", "green_colorant", "blue_colorant")
-    return np.array([getattr(profile, name)[0] for name in names]).T
+    return np.array([getattr(profile, f"{name}_colorant")[0] for name in ("red", "green", "blue")]).T
 
 
 def _colors(tags: list[bytes], matrix: np.ndarray | None) -> Colors:

@@ -68,6 +68,7 @@ class RigView:
     mask: Path | None = None  # image whose black pixels are left out, or None; it need not exist
     missing: str = ""  # where a file does not exist, what was looked for; else ""
     layer: str = ""  # of an EXR with several; see `images.read_radiance`
+    colorspace: str = ""  # of the image; "" for what it says
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ class Source(Related):
 
 def read_source(capture: Path, options: CaptureOptions, reporter: Reporter) -> Source:
     """Read cameras and mesh, and warn of what the user should know of them."""
-    rig = _with_layer(read_rig(capture, options.format, options), options.layer)
+    rig = _with_names(read_rig(capture, options.format, options), options)
     mesh = _mesh(rig, options)
     rig = replace(rig, depths=checked_depths(rig.depths))
     solved = np.zeros((0, 3))
@@ -103,9 +103,9 @@ def size_note(
     return judge_size(transform_points(world_from_source, points), slack)
 
 
-def _with_layer(rig: Rig, layer: str) -> Rig:
-    """The rig with a layer named for its photographs."""
-    named = partial(replace, layer=layer)
+def _with_names(rig: Rig, options: CaptureOptions) -> Rig:
+    """The rig with a layer and a color space named for its photographs."""
+    named = partial(replace, layer=options.layer, colorspace=options.colorspace)
     depths = (replace(depth, photograph=depth.photograph and named(depth.photograph)) for depth in rig.depths)
     return replace(rig, views=tuple(map(named, rig.views)), depths=tuple(depths))
 
