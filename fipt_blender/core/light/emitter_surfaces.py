@@ -27,7 +27,7 @@ MAX_SAMPLES, MAX_SAMPLES_SCAN = 50.0, 10.0
 # Deviation of radiance over light on one surface of an exact mesh, by noise and errors of the light. Clipped
 # pixels are constant in any case.
 SPREAD, CLIPPED_SPREAD = 0.03, 1e6
-# Where lamps may be close that nothing shows, one is likelier than the surface that it lights by HIDDEN, in
+# Where inferred lamps are close, one is likelier than the surface that it lights by HIDDEN, in
 # full from this share of the directions on.
 MUCH_UNSEEN, HIDDEN = 0.1, 2.0
 
@@ -40,8 +40,8 @@ class EmitterSurfaces:
         unit: (T,) int64 surface of each triangle, from 0.
         component: (T,) int larger surface, from 0; triangles that no pixel judged get the mean of theirs.
         alike: (T,) int surface that has one radiance if it emits: part or presumed lamp; negative for none.
-        unseen: (T,) share of the directions in which lamps may be close that nothing shows; 0 on presumed
-            lamps, as what a hidden lamp lights is not of one radiance.
+        unseen: (T,) share of the directions in which inferred lamps are close; 0 on presumed lamps, as what
+            a hidden lamp lights is not of one radiance.
         error: relative standard error of the most that a surface reflects.
         spread: least deviation of the logarithm of radiance over light on one surface.
         max_samples: independent ones that the pixels of a lamp count as, at most.

@@ -78,7 +78,7 @@ class Environment:
         seen: (H, 2H) bool, where that is.
         unseen_light: 0..1, share of the light on the surfaces that is only inferred (:mod:`.unseen_light`).
         unseen_error: standard deviation of the logarithm of the light on the surfaces, because of it.
-        unseen: (T,) float32 share of the directions in which unseen places are close; None without.
+        unseen: (T,) float32 share of the directions in which inferred lamps are close; None without.
         hull: radiance from all other directions, by place; None without inferred light.
         entries: (E,) int64 cache entries of unseen surfaces, and their inferred `radiance` (E, 3).
         lamps: balls and discs that cast the light of the bright sources of it.

@@ -1,8 +1,8 @@
 """A digest of the engine's source code, so that a run resumed after an update never mixes two methods.
 
 Settings hold what a user varies; many more constants are defined beside the code that uses them. Therefore
-stage keys, the main job's steps and the check of a cluster's workers contain this digest. Standard library
-only.
+keys contain this digest: those of stages that of the code that they may run, others and the check of a
+cluster's workers that of all. Standard library only.
 """
 
 from __future__ import annotations
